@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: one frozen dataclass per stage; type, default, range, step, unit and one sentence each.
+
+Everything else that knows a parameter (declared ROS parameters and their descriptors, ``config/*.yaml``, command-line
+options, the README's table) is made from the metadata here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from stereo_depth_ros.errors import ConfigError
+
+__all__ = [
+    "CloudConfig",
+    "DepthConfig",
+    "MatchingConfig",
+    "PairingConfig",
+    "ParameterInfo",
+    "PipelineConfig",
+    "parameter_infos",
+    "replace_checked",
+]
+
+ConfigT = TypeVar("ConfigT")
+
+
+@dataclass(frozen=True)
+class ParameterInfo:
+    """What is known of one parameter: its outside name, field, type, default, range, unit and sentence."""
+
+    name: str
+    field: str
+    type: type
+    default: bool | int | float | str
+    doc: str
+    low: float | None = None
+    high: float | None = None
+    step: float | None = None
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    run_time: bool = True
+
+    def check(self, value: Any) -> bool | int | float | str:
+        """The value in the parameter's type; ConfigError with value, limit and remedy where it cannot be."""
+        if self.type is float and type(value) is int:
+            value = float(value)
+        if type(value) is not self.type:
+            raise ConfigError(
+                f"parameter {self.name} = {value!r} is {type(value).__name__}, it takes {self.type.__name__}: "
+                f"write it as {self.type.__name__}, for example {self.default!r}"
+            )
+        if self.choices and value not in self.choices:
+            raise ConfigError(
+                f"parameter {self.name} = {value!r} is none of {', '.join(self.choices)}: take one of them"
+            )
+        if isinstance(value, str) or isinstance(value, bool):
+            return value
+        assert isinstance(value, (int, float))
+        if self.low is not None and self.high is not None and not self.low <= value <= self.high:
+            raise ConfigError(
+                f"parameter {self.name} = {value} is outside {self.low:g}..{self.high:g}: set it inside that range"
+            )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"parameter {self.name} = {value} is not finite: set a number")
+        if self.step and self.low is not None and (value - self.low) % self.step:
+            below = value - (value - self.low) % self.step
+            raise ConfigError(
+                f"parameter {self.name} = {value} is not {self.low:g} plus a multiple of {self.step:g}: "
+                f"take {below:g} or {below + self.step:g}"
+            )
+        return value
+
+
+def _parameter(default: bool | int | float | str, doc: str, **info: Any) -> Any:
+    return field(default=default, metadata={"doc": doc, **info})
+
+
+def parameter_infos(config: type | object) -> Iterator[ParameterInfo]:
+    """All parameters of a config class, in the order of its fields."""
+    for item in dataclasses.fields(config):  # type: ignore[arg-type]
+        info = dict(item.metadata)
+        yield ParameterInfo(
+            name=info.pop("name", item.name),
+            field=item.name,
+            type=type(item.default),
+            default=item.default,  # type: ignore[arg-type]
+            **info,
+        )
+
+
+class _Checked:
+    """Checks every field against its metadata when the object is made."""
+
+    def __post_init__(self) -> None:
+        for info in parameter_infos(self):
+            object.__setattr__(self, info.field, info.check(getattr(self, info.field)))
+
+
+def replace_checked(config: ConfigT, changes: Mapping[str, Any]) -> ConfigT:
+    """A copy of ``config`` with the values of ``changes``, keyed by outside name or field name.
+
+    Raises:
+        ConfigError: unknown key, or a value that the config refuses.
+    """
+    fields = {key: info.field for info in parameter_infos(config) for key in (info.name, info.field)}
+    for key in changes:
+        if key not in fields:
+            raise ConfigError(
+                f"unknown parameter {key!r}: known are {', '.join(i.name for i in parameter_infos(config))}"
+            )
+    return dataclasses.replace(config, **{fields[key]: value for key, value in changes.items()})  # type: ignore[type-var]
+
+
+@dataclass(frozen=True)
+class PairingConfig(_Checked):
+    """How left and right images, and their camera infos, are brought together."""
+
+    queue_size: int = _parameter(
+        5, "Unpaired images kept per eye while the other eye is awaited.", low=1, high=1000, run_time=False
+    )
+    approximate_sync: bool = _parameter(
+        False, "Pair stamps that differ; false pairs equal stamps only.", run_time=False
+    )
+    approximate_sync_tolerance_seconds: float = _parameter(
+        0.0,
+        "Largest stamp difference within an approximate pair, itself included; 0 means no limit.",
+        low=0.0,
+        high=3600.0,
+        unit="s",
+        run_time=False,
+    )
+
+    @property
+    def tolerance_ns(self) -> int | None:
+        """Largest difference of stamps in a pair, in nanoseconds; None is no limit."""
+        if not self.approximate_sync:
+            return 0
+        return round(self.approximate_sync_tolerance_seconds * 1e9) or None
+
+
+@dataclass(frozen=True)
+class MatchingConfig(_Checked):
+    """OpenCV's block matching and semi-global block matching."""
+
+    stereo_algorithm: int = _parameter(
+        0, "Matcher: 0 block matching (bm), 1 semi-global block matching (sgbm).", low=0, high=1
+    )
+    prefilter_size: int = _parameter(
+        9, "Window of the normalised-response prefilter; bm.", low=5, high=255, step=2, unit="px"
+    )
+    prefilter_cap: int = _parameter(31, "Bound on the prefiltered pixel values.", low=1, high=63)
+    correlation_window_size: int = _parameter(
+        15, "Side of the square matching window.", low=5, high=255, step=2, unit="px"
+    )
+    min_disparity: int = _parameter(0, "Disparity at which the search begins.", low=-2048, high=2048, unit="px")
+    num_disparities: int = _parameter(
+        64, "Number of disparities searched.", name="disparity_range", low=32, high=4096, step=16, unit="px"
+    )
+    texture_threshold: int = _parameter(10, "Least sum of prefiltered gradient in the window; bm.", low=0, high=10000)
+    speckle_size: int = _parameter(
+        100, "Components of fewer pixels are removed; 0 keeps all.", low=0, high=1000, unit="px"
+    )
+    speckle_range: int = _parameter(
+        4, "Largest step of disparity between neighbours of one component.", low=0, high=31, unit="px"
+    )
+    disp12_max_diff: int = _parameter(
+        0, "Tolerance of the left-right check; 0 is no check for bm and 1 px for sgbm.", low=0, high=128, unit="px"
+    )
+    sgbm_mode: int = _parameter(0, "0 five paths, 1 eight paths, 2 three paths, 3 four paths; sgbm.", low=0, high=3)
+    uniqueness_ratio: float = _parameter(
+        15.0, "Margin by which the best cost must win over the second.", low=0.0, high=100.0, unit="%"
+    )
+    P1: float = _parameter(200.0, "Penalty on disparity steps of one pixel; sgbm.", low=0.0, high=4000.0)
+    P2: float = _parameter(400.0, "Penalty on larger disparity steps; above P1; sgbm.", low=0.0, high=4000.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stereo_algorithm == 1 and self.P2 <= self.P1:
+            raise ConfigError(f"P2 = {self.P2:g} is not above P1 = {self.P1:g}: raise P2 or lower P1")
+
+    @property
+    def max_disparity(self) -> int:
+        """Largest whole disparity searched, px."""
+        return self.min_disparity + self.num_disparities - 1
+
+
+@dataclass(frozen=True)
+class DepthConfig(_Checked):
+    """The depth image and its uncertainty."""
+
+    depth_encoding: str = _parameter(
+        "32FC1",
+        "Depth image: 32FC1 is metres with NaN, 16UC1 is millimetres with 0 (REP 118).",
+        choices=("32FC1", "16UC1"),
+    )
+    disparity_sigma_px: float = _parameter(
+        0.25,
+        "Standard deviation of a disparity, from which sigma_Z = Z^2 / (f B) sigma_d.",
+        low=0.0,
+        high=16.0,
+        unit="px",
+    )
+
+
+@dataclass(frozen=True)
+class CloudConfig(_Checked):
+    """The point cloud."""
+
+    avoid_point_cloud_padding: bool = _parameter(
+        False, "Pack points without padding: 16 bytes with colour, 12 without."
+    )
+    use_color: bool = _parameter(True, "Colour the points with the left image.")
+
+
+@dataclass(frozen=True)
+class PipelineConfig:
+    """All stages of the path."""
+
+    pairing: PairingConfig = PairingConfig()
+    matching: MatchingConfig = MatchingConfig()
+    depth: DepthConfig = DepthConfig()
+    cloud: CloudConfig = CloudConfig()

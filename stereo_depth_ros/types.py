@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The words everything is said in: what goes into the path and what comes out of it."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from stereo_depth_ros.stereo_rig import StereoRig
+
+__all__ = ["F32", "F64", "U8", "Frame", "MatchResult", "Reason", "RectifiedPair", "StereoPair"]
+
+U8: TypeAlias = npt.NDArray[np.uint8]
+F32: TypeAlias = npt.NDArray[np.float32]
+F64: TypeAlias = npt.NDArray[np.float64]
+
+
+class Reason(enum.IntFlag):
+    """Why a pixel has no disparity; bits of the uint8 reason map, 0 where the pixel is valid."""
+
+    VALID = 0
+    NO_MATCH = 1  # the matcher rejected the pixel and does not say more
+    LEFT_RIGHT = 2  # left-right check: the right image prefers another left pixel
+    UNIQUENESS = 4  # a second disparity is nearly as good
+    TEXTURE = 8  # not enough texture in the window
+    SPECKLE = 16  # small isolated component
+    RANGE = 32  # not in front of the cameras: no positive finite depth
+    BORDER = 64  # the search or the window leaves the image
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One decoded image of one camera.
+
+    Attributes:
+        pixels: uint8, (H, W) grey or (H, W, 3) colour in the order that ``encoding`` names.
+        stamp_ns: time of the exposure, integer nanoseconds (the header stamp).
+        frame_id: name of the optical frame.
+        encoding: "mono8", "rgb8" or "bgr8".
+    """
+
+    pixels: U8
+    stamp_ns: int
+    frame_id: str
+    encoding: str = "mono8"
+
+
+@dataclass(frozen=True)
+class StereoPair:
+    """Left and right frame that belong together. Raw (unrectified) or rectified: the stage that takes it says which."""
+
+    left: Frame
+    right: Frame
+
+
+@dataclass(frozen=True)
+class RectifiedPair:
+    """Rows aligned: a point has the same row in both images.
+
+    Attributes:
+        left, right: uint8 (H, W), grey, what the matcher sees.
+        left_color: uint8 (H, W) or (H, W, 3), the rectified left image as it came, what colours the cloud.
+        color_encoding: encoding of ``left_color``: "mono8", "rgb8" or "bgr8".
+    """
+
+    left: U8
+    right: U8
+    left_color: U8
+    color_encoding: str
+
+
+@dataclass(frozen=True)
+class MatchResult:
+    """What a matcher returns.
+
+    Attributes:
+        disparity_px: float32 (H, W), x_left - x_right in pixels, NaN where invalid.
+        reasons: uint8 (H, W), bits of :class:`Reason`, 0 exactly where ``disparity_px`` is finite.
+        step_px: smallest difference between two disparities this matcher can tell (1/16 for OpenCV's).
+        confidence: float32 (H, W) in [0, 1], or None from a method that has none.
+    """
+
+    disparity_px: F32
+    reasons: U8
+    step_px: float
+    confidence: F32 | None = None
+
+    @property
+    def valid_fraction(self) -> float:
+        """Share of pixels that have a disparity, 0..1."""
+        return float(np.count_nonzero(self.reasons == 0)) / self.reasons.size
+
+    def reason_counts(self) -> dict[str, int]:
+        """Number of pixels per reason name (a pixel may have several)."""
+        counts = np.bincount(self.reasons.ravel(), minlength=256)
+        values = np.arange(256)
+        return {str(r.name): int(counts[(values & r.value) != 0].sum()) for r in Reason if r.value}
