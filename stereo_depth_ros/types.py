@@ -5,14 +5,11 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-
-if TYPE_CHECKING:
-    from stereo_depth_ros.stereo_rig import StereoRig
 
 __all__ = ["F32", "F64", "U8", "Frame", "MatchResult", "Reason", "RectifiedPair", "StereoPair"]
 
