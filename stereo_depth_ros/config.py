@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 from stereo_depth_ros.errors import ConfigError
 
 __all__ = [
+    "STAGE_CONFIGS",
     "CloudConfig",
     "DepthConfig",
     "MatchingConfig",
@@ -136,6 +137,13 @@ class PairingConfig(_Checked):
         run_time=False,
     )
 
+    image_transport: str = _parameter(
+        "raw",
+        "How images come in: raw, or compressed (topic with /compressed behind it).",
+        choices=("raw", "compressed"),
+        run_time=False,
+    )
+
     @property
     def tolerance_ns(self) -> int | None:
         """Largest difference of stamps in a pair, in nanoseconds; None is no limit."""
@@ -226,3 +234,6 @@ class PipelineConfig:
     matching: MatchingConfig = MatchingConfig()
     depth: DepthConfig = DepthConfig()
     cloud: CloudConfig = CloudConfig()
+
+
+STAGE_CONFIGS = (PairingConfig, MatchingConfig, DepthConfig, CloudConfig)

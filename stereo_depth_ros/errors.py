@@ -6,6 +6,7 @@ __all__ = [
     "BagError",
     "CalibrationError",
     "ConfigError",
+    "GraphError",
     "ImageError",
     "MessageError",
     "StereoDepthError",
@@ -39,3 +40,7 @@ class BagError(StereoDepthError):
 
 class TopicError(StereoDepthError):
     """Topics that are missing, ambiguous, equal, or of the wrong type."""
+
+
+class GraphError(StereoDepthError):
+    """The ROS graph is not there, a node of it ended, or a topic has nobody at its other end."""

@@ -1,2 +1,47 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
+"""Matching methods by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from stereo_depth_ros.config import MatchingConfig, replace_checked
+from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.matching.block_matching import BlockMatcher
+from stereo_depth_ros.matching.protocol import Matcher
+from stereo_depth_ros.matching.semi_global_block_matching import SemiGlobalBlockMatcher
+
+__all__ = ["MATCHERS", "Matcher", "create_matcher", "matcher_from_config"]
+
+# The position of a name is its number in the parameter stereo_algorithm.
+MATCHERS: dict[str, Callable[[MatchingConfig], Matcher]] = {
+    "bm": BlockMatcher,
+    "sgbm": SemiGlobalBlockMatcher,
+}
+
+
+def create_matcher(name: str | int, config: MatchingConfig | None = None, **fields: Any) -> Matcher:
+    """A matcher by name, or by its number in ``stereo_algorithm``.
+
+    Args:
+        name: one of ``MATCHERS``; it decides over ``config.stereo_algorithm``.
+        config: parameters, None for the defaults.
+        fields: parameters that differ from ``config``, by field name or outside name (``disparity_range``).
+
+    Raises:
+        ConfigError: unknown name, unknown parameter, or a value that the config or the method refuses.
+    """
+    names = list(MATCHERS)
+    number = names.index(name) if name in MATCHERS else name
+    if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(names):
+        known = ", ".join(f"{text} ({position})" for position, text in enumerate(names))
+        raise ConfigError(f"unknown matcher {name!r}: known are {known}")
+    changes = {**fields, "stereo_algorithm": number}
+    return MATCHERS[names[number]](replace_checked(config or MatchingConfig(), changes))
+
+
+def matcher_from_config(config: MatchingConfig) -> Matcher:
+    """The matcher that ``config.stereo_algorithm`` names; ConfigError where the method refuses the parameters."""
+    return create_matcher(config.stereo_algorithm, config)

@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+# Another Python, with an environment of its own: make test PYTHON=python3.12
+PYTHON ?= python3
+VENV ?= .venv$(patsubst python3%,%,$(notdir $(PYTHON)))
+BIN := $(VENV)/bin
+STAMP := $(VENV)/installed
+PYTEST_ARGS ?=
+
+# Nodes of tests and demos stay on this machine.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test venv lint bench config clean
+
+help: ## say what can be made
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile
+
+demo: venv ## play the sample bag through the live graph; prints a table, writes a bag and a picture
+	$(BIN)/stereo-depth demo
+
+test: venv ## run every test
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: venv ## check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: venv ## measure the graph beside the bare kernels
+	$(BIN)/python benchmarks/graph.py
+
+config: venv ## write config/stereo_depth.yaml and the README's table of parameters anew
+	$(BIN)/python -c "from stereo_depth_ros.parameter_files import write_files; write_files('.')"
+
+clean: ## remove environments and everything built
+	rm -rf .venv* build install log out .mypy_cache .ruff_cache .pytest_cache *.egg-info
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+venv: $(STAMP) ## set up the Python environment (the others do so too)
+
+# Where ROS 2 is sourced its rclpy is used, with the numpy it was built for; elsewhere the wheels of the extra [ros].
+$(STAMP): setup.py setup.cfg package.xml
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not there: install it, or make ... PYTHON=python3.x" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' \
+	  || { echo "$$($(PYTHON) -V) is not among Python 3.10 to 3.13: make ... PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null \
+	  || { echo "$(PYTHON) has no venv: on Debian and Ubuntu, sudo apt install python3-venv" >&2; exit 1; }
+	@if numpy=$$($(PYTHON) -c 'import numpy, rclpy, stereo_msgs.msg; print(numpy.__version__)' 2>/dev/null); then \
+	  set -x && $(PYTHON) -m venv --system-site-packages $(VENV) \
+	  && $(BIN)/python -m pip install --quiet --editable '.[test]' "numpy==$$numpy"; \
+	else \
+	  set -x && $(PYTHON) -m venv $(VENV) \
+	  && $(BIN)/python -m pip install --quiet --editable '.[ros,test]'; \
+	fi
+	@touch $@

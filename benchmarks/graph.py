@@ -1,0 +1,274 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Latency and throughput of the graph: raw pair published to PointCloud2 received, beside the bare kernels.
+
+This process publishes raw pairs and receives cloud and disparity; the nodes run in processes of their own. The bare
+kernels (remap twice, the matcher, reprojection; OpenCV's, with all threads) are measured between the frames.
+
+    python benchmarks/graph.py
+    python benchmarks/graph.py --shapes fused --matchers bm --frames 100
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stereo_depth_ros.io.camera_info_message import camera_info_message
+from stereo_depth_ros.io.image_message import image_message
+from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.transport import prepare_process
+from stereo_depth_ros.types import U8, StereoPair
+
+os.environ.setdefault("ROS_DOMAIN_ID", "93")
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+prepare_process()
+
+import rclpy  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2  # noqa: E402
+from stereo_msgs.msg import DisparityImage  # noqa: E402
+
+SIZES = ((640, 480, 64), (1280, 720, 128))
+NODES = {
+    "fused": ("stereo_depth_node",),
+    "separate": ("rectify_node", "disparity_node", "point_cloud_node"),
+}
+TIMEOUT_S = 20.0
+
+
+@dataclass
+class Row:
+    """What one combination gave."""
+
+    size: str
+    matcher: str
+    shape: str
+    kernels_ms: float
+    latency_ms: float
+    p95_ms: float
+    fps: float
+    lost: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.size:>14} {self.matcher:>5} {self.shape:>9} {self.kernels_ms:11.1f} {self.latency_ms:11.1f} "
+            f"{self.p95_ms:8.1f} {self.latency_ms / self.kernels_ms:6.2f} {self.fps:8.1f} {self.lost:5d}"
+        )
+
+
+class Harness:
+    """Publishes pairs as serialised bytes and counts what comes back."""
+
+    def __init__(self, sequence: SyntheticSequence, typed: bool) -> None:
+        self._types = RosbagsTypes()
+        self._rig = sequence.rig
+        self._pair = sequence[0].pair
+        self._node = rclpy.create_node("benchmark")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        self._publishers = {
+            topic: self._node.create_publisher(kind, topic, qos)
+            for topic, kind in (
+                ("left/camera_info", CameraInfo),
+                ("right/camera_info", CameraInfo),
+                ("left/image_raw", Image),
+                ("right/image_raw", Image),
+            )
+        }
+        self.received = {"points2": 0, "disparity": 0}
+        for topic, kind in (("points2", PointCloud2), ("disparity", DisparityImage)):
+            self._node.create_subscription(kind, topic, self._receiver(topic), qos, raw=not typed)
+        self._stamp_ns = 1_000_000_000
+
+    def _receiver(self, topic: str) -> Callable[[object], None]:
+        def receive(_: object) -> None:
+            self.received[topic] += 1
+
+        return receive
+
+    def wait_for_graph(self) -> None:
+        deadline = time.monotonic() + TIMEOUT_S
+        while not all(p.get_subscription_count() for p in self._publishers.values()):
+            if time.monotonic() > deadline:
+                missing = [t for t, p in self._publishers.items() if not p.get_subscription_count()]
+                raise TimeoutError(f"nobody subscribed {missing} within {TIMEOUT_S:g} s")
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def messages(self) -> dict[str, bytes]:
+        """The next pair, serialised; all four topics."""
+        self._stamp_ns += 1_000_000
+        types, stamp = self._types, self._stamp_ns
+        left, right = self._pair.left, self._pair.right
+        return {
+            "left/camera_info": types.serialize(camera_info_message(types, self._rig.left, stamp)),
+            "right/camera_info": types.serialize(camera_info_message(types, self._rig.right, stamp)),
+            "left/image_raw": types.serialize(image_message(types, left.pixels, "mono8", stamp, left.frame_id)),
+            "right/image_raw": types.serialize(image_message(types, right.pixels, "mono8", stamp, right.frame_id)),
+        }
+
+    def send(self, messages: dict[str, bytes]) -> None:
+        for topic, data in messages.items():
+            self._publishers[topic].publish(data)
+
+    def wait(self, count: int, timeout_s: float = TIMEOUT_S) -> bool:
+        """True once that many clouds and disparities have come."""
+        deadline = time.monotonic() + timeout_s
+        while min(self.received.values()) < count and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.1)
+        return min(self.received.values()) >= count
+
+    def wait_cloud(self, count: int) -> bool:
+        deadline = time.monotonic() + TIMEOUT_S
+        while self.received["points2"] < count and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.1)
+        return self.received["points2"] >= count
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+
+def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[], float]:
+    """A function that runs remap twice, the matcher and the reprojection once and returns the milliseconds."""
+    height, width = pair.left.pixels.shape
+    K = np.array([[width * 0.9, 0, width / 2], [0, width * 0.9, height / 2], [0, 0, 1.0]])
+    maps = cv2.initUndistortRectifyMap(
+        K, np.array([0.1, -0.05, 0, 0, 0]), np.eye(3), K, (width, height), cv2.CV_16SC2
+    )
+    if matcher == "bm":
+        stereo = cv2.StereoBM_create(disparities, 15)
+        stereo.setPreFilterCap(31)
+        stereo.setTextureThreshold(10)
+        stereo.setUniquenessRatio(15)
+        stereo.setSpeckleWindowSize(100)
+        stereo.setSpeckleRange(4)
+    else:
+        stereo = cv2.StereoSGBM_create(0, disparities, 15, 200, 400, 0, 31, 15, 100, 4)
+    Q = np.array([[1, 0, 0, -width / 2], [0, 1, 0, -height / 2], [0, 0, 0, width * 0.9], [0, 0, 8.0, 0]])
+    left, right = np.empty((2, height, width), np.uint8)
+    fixed = np.empty((height, width), np.int16)
+    disparity = np.empty((height, width), np.float32)
+    points = np.empty((height, width, 3), np.float32)
+
+    def run() -> float:
+        start = time.perf_counter()
+        cv2.remap(pair.left.pixels, maps[0], maps[1], cv2.INTER_LINEAR, left)
+        cv2.remap(pair.right.pixels, maps[0], maps[1], cv2.INTER_LINEAR, right)
+        stereo.compute(pair.left.pixels, pair.right.pixels, fixed)
+        middle = time.perf_counter()
+        np.multiply(fixed, np.float32(1 / 16), out=disparity)
+        again = time.perf_counter()
+        cv2.reprojectImageTo3D(disparity, Q, points)
+        return 1e3 * (time.perf_counter() - again + middle - start)
+
+    return run
+
+
+@contextmanager
+def graph(shape: str, matcher: str, disparities: int) -> Iterator[None]:
+    """The nodes of a shape, each a process."""
+    parameters = {"stereo_algorithm": ("bm", "sgbm").index(matcher), "disparity_range": disparities}
+    arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
+    processes = [
+        subprocess.Popen([sys.executable, "-m", f"stereo_depth_ros.nodes.{node}", "--ros-args", *arguments])
+        for node in NODES[shape]
+    ]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.send_signal(signal.SIGINT)
+        for process in processes:
+            process.wait(10)
+
+
+def measure(size: tuple[int, int, int], matcher: str, shape: str, frames: int, in_flight: int, typed: bool) -> Row:
+    width, height, disparities = size
+    sequence = SyntheticSequence(frames=1, width=width, height=height)
+    kernels = bare_kernels(sequence[0].pair, matcher, disparities)
+    with graph(shape, matcher, disparities):
+        harness = Harness(sequence, typed)
+        try:
+            harness.wait_for_graph()
+            return _measure(harness, kernels, size, matcher, shape, frames, in_flight)
+        finally:
+            harness.close()
+
+
+def _measure(
+    harness: Harness,
+    kernels: Callable[[], float],
+    size: tuple[int, int, int],
+    matcher: str,
+    shape: str,
+    frames: int,
+    in_flight: int,
+) -> Row:
+    latencies, kernel_times, lost = [], [], 0
+    for frame in range(frames + 5):
+        messages = harness.messages()
+        counts = dict(harness.received)
+        start = time.perf_counter()
+        harness.send(messages)
+        arrived = harness.wait_cloud(counts["points2"] + 1)
+        latency = 1e3 * (time.perf_counter() - start)
+        lost += not (arrived and harness.wait(min(counts.values()) + 1))
+        kernel_time = kernels()
+        if frame >= 5:
+            latencies.append(latency)
+            kernel_times.append(kernel_time)
+    batch = [harness.messages() for _ in range(frames)]
+    before = min(harness.received.values())
+    start = time.perf_counter()
+    for sent, messages in enumerate(batch):
+        harness.wait(before + sent + 1 - in_flight)
+        harness.send(messages)
+    lost += not harness.wait(before + frames)
+    fps = frames / (time.perf_counter() - start)
+    return Row(
+        f"{size[0]}x{size[1]}/{size[2]}",
+        matcher,
+        shape,
+        float(np.median(kernel_times)),
+        float(np.median(latencies)),
+        float(np.percentile(latencies, 95)),
+        fps,
+        lost,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--in-flight", type=int, default=3, help="pairs under way when going as fast as it goes")
+    parser.add_argument("--shapes", nargs="+", default=list(NODES), choices=list(NODES))
+    parser.add_argument("--matchers", nargs="+", default=["bm", "sgbm"], choices=["bm", "sgbm"])
+    parser.add_argument("--sizes", nargs="+", type=int, default=[0, 1], choices=[0, 1])
+    parser.add_argument("--typed", action="store_true", help="receive decoded messages instead of their bytes")
+    options = parser.parse_args()
+    rclpy.init()
+    print("          size   alg     shape  kernels ms  latency ms   p95 ms  ratio frames/s  lost")
+    for index in options.sizes:
+        for matcher in options.matchers:
+            for shape in options.shapes:
+                row = measure(SIZES[index], matcher, shape, options.frames, options.in_flight, options.typed)
+                print(row, flush=True)
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Camera info messages to cameras and back; any object with the fields of the message will do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.io.message_types import MessageTypes, make_header
+from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+
+__all__ = ["camera_from_info", "camera_info_message", "rectified_camera_info"]
+
+
+def camera_from_info(info: Any, topic: str = "") -> CameraModel:
+    """The camera of a sensor_msgs/CameraInfo, for the image as it is sent.
+
+    The region of interest shifts the principal points of K and P, then binning divides both, as in image_geometry:
+    column 0 of an image is column ``roi.x_offset`` of the sensor. A region without size is the whole sensor, binning 0
+    is 1, ``roi.do_rectify`` is not read.
+
+    Args:
+        info: the message, of any family.
+        topic: its topic, for error messages.
+
+    Raises:
+        CalibrationError: a region of interest that leaves the sensor.
+    """
+    roi = info.roi
+    whole = roi.width == 0 and roi.height == 0
+    x, y, width, height = (0, 0, info.width, info.height) if whole else _region(info, topic)
+    binning_x, binning_y = max(info.binning_x, 1), max(info.binning_y, 1)
+    to_image = np.array([[1 / binning_x, 0, -x / binning_x], [0, 1 / binning_y, -y / binning_y], [0, 0, 1]])
+    return CameraModel(
+        width=width // binning_x,
+        height=height // binning_y,
+        distortion_model=info.distortion_model,
+        K=to_image @ np.reshape(info.k, (3, 3)),
+        D=np.array(info.d),
+        R=np.reshape(info.r, (3, 3)),
+        P=to_image @ np.reshape(info.p, (3, 4)),
+        frame_id=info.header.frame_id,
+    )
+
+
+def _region(info: Any, topic: str) -> tuple[int, int, int, int]:
+    roi = info.roi
+    right, bottom = roi.x_offset + roi.width, roi.y_offset + roi.height
+    if roi.width == 0 or roi.height == 0 or right > info.width or bottom > info.height:
+        raise CalibrationError(
+            f"{topic or 'camera info'}: roi {roi.width}x{roi.height} at ({roi.x_offset}, {roi.y_offset}) is not inside "
+            f"the sensor of {info.width}x{info.height}: set width and height of the full resolution, before binning"
+        )
+    return roi.x_offset, roi.y_offset, roi.width, roi.height
+
+
+def camera_info_message(types: MessageTypes, camera: CameraModel, stamp_ns: int, frame_id: str | None = None) -> Any:
+    """A sensor_msgs/CameraInfo of a camera, at the resolution of its image: no binning, no region of interest.
+
+    Args:
+        types: the family of messages.
+        camera: what to write.
+        stamp_ns: header stamp, integer nanoseconds.
+        frame_id: header frame; the camera's own by default.
+    """
+    return types.CameraInfo(
+        header=make_header(types, stamp_ns, camera.frame_id if frame_id is None else frame_id),
+        height=camera.height,
+        width=camera.width,
+        distortion_model=camera.distortion_model,
+        d=types.float64s(camera.D),
+        k=camera.K.ravel(),
+        r=camera.R.ravel(),
+        p=camera.P.ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=types.RegionOfInterest(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    )
+
+
+def rectified_camera_info(types: MessageTypes, rig: StereoRig, stamp_ns: int, frame_id: str | None = None) -> Any:
+    """The sensor_msgs/CameraInfo of an image in the left rectified frame, such as depth.
+
+    Its K is the rectified one, D zero, R the identity; arguments as for :func:`camera_info_message`.
+    """
+    K = rig.left.P[:, :3]
+    camera = replace(
+        rig.left, distortion_model="plumb_bob", K=K, D=np.zeros(5), R=np.eye(3), P=np.column_stack([K, np.zeros(3)])
+    )
+    return camera_info_message(types, camera, stamp_ns, frame_id)

@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""sensor_msgs/PointCloud2 from disparities."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from stereo_depth_ros.depth import Triangulation
+from stereo_depth_ros.io.message_types import MessageTypes, make_header
+from stereo_depth_ros.point_cloud import CloudLayout, pack_points
+from stereo_depth_ros.types import F32, U8
+
+__all__ = ["cloud_message"]
+
+_FLOAT32 = 7
+
+
+def cloud_message(
+    types: MessageTypes,
+    disparity_px: F32,
+    triangulation: Triangulation,
+    layout: CloudLayout,
+    *,
+    stamp_ns: int,
+    frame_id: str,
+    color: U8 | None = None,
+    color_encoding: str = "mono8",
+    payload: tuple[Any, U8] | None = None,
+) -> Any:
+    """An organised PointCloud2, NaN where invalid.
+
+    Args:
+        types: the message classes.
+        disparity_px: float32 (H, W), NaN where invalid.
+        triangulation: the geometry of the rig.
+        layout: the bytes of a point.
+        stamp_ns, frame_id: header, that of the left image.
+        color, color_encoding: the left rectified image, where the layout has a colour.
+        payload: a reused ``types.payload(H * W * point_step)``, zeroed when made, or None for a new one.
+
+    Raises:
+        ImageError: see :func:`pack_points`.
+    """
+    height, width = disparity_px.shape
+    data, view = payload or types.payload(height * width * layout.point_step)
+    pack_points(disparity_px, triangulation, layout, view, color, color_encoding)
+    offsets = {"x": 0, "y": 4, "z": 8}
+    if layout.rgb_offset is not None:
+        offsets["rgb"] = layout.rgb_offset
+    return types.PointCloud2(
+        header=make_header(types, stamp_ns, frame_id),
+        height=height,
+        width=width,
+        fields=[types.PointField(name=n, offset=o, datatype=_FLOAT32, count=1) for n, o in offsets.items()],
+        is_bigendian=sys.byteorder == "big",
+        point_step=layout.point_step,
+        row_step=layout.point_step * width,
+        data=data,
+        is_dense=False,
+    )

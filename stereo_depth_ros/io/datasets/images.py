@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Plain folders of left and right images with the two calibration files of ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from stereo_depth_ros.errors import BagError
+from stereo_depth_ros.io.datasets import DatasetFrame, check_sizes, list_images, read_frame
+from stereo_depth_ros.stereo_rig import StereoRig
+
+__all__ = ["ImagesDataset"]
+
+
+class ImagesDataset:
+    """Images in DIR/left and DIR/right, paired in the order of their names, or DIR/left*.png with DIR/right*.png.
+
+    Args:
+        folder: what holds the images, and ``left.yaml`` and ``right.yaml``.
+        left_yaml, right_yaml: calibration files in another place.
+
+    Raises:
+        BagError: no images, not as many left as right ones, or no calibration.
+        CalibrationError: a calibration that does not fit the images.
+    """
+
+    has_stamps = False
+
+    def __init__(self, folder: Path, *, left_yaml: Path | None = None, right_yaml: Path | None = None) -> None:
+        left, right = _images(folder, "left"), _images(folder, "right")
+        if not left or len(left) != len(right):
+            raise BagError(
+                f"{folder} has {len(left)} left and {len(right)} right images: put as many into left/ as into right/, "
+                "or name them left*.png and right*.png"
+            )
+        files = left_yaml or folder / "left.yaml", right_yaml or folder / "right.yaml"
+        if missing := [str(path) for path in files if not path.exists()]:
+            raise BagError(f"no calibration {', '.join(missing)}: write it with camera_calibration, or name another")
+        self._pairs = list(zip(left, right, strict=True))
+        self.rig = _named(StereoRig.from_yaml(*files))
+        for path in self._pairs[0]:
+            check_sizes(self.rig, path)
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __iter__(self) -> Iterator[DatasetFrame]:
+        for left, right in self._pairs:
+            yield DatasetFrame(read_frame(left, self.rig.left), read_frame(right, self.rig.right))
+
+
+def _named(rig: StereoRig) -> StereoRig:
+    """The same rig in an optical frame: the files name none."""
+    left, right = (replace(camera, frame_id="left_optical_frame") for camera in (rig.left, rig.right))
+    return replace(rig, left=left, right=right)
+
+
+def _images(folder: Path, eye: str) -> list[Path]:
+    return list_images(folder / eye) if (folder / eye).is_dir() else list_images(folder, f"{eye}*")

@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""KITTI: odometry sequences, stereo 2012 and 2015, and raw drives, rectified or not.
+
+Geiger et al., "Vision meets robotics: the KITTI dataset", IJRR 2013.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+
+from stereo_depth_ros.errors import BagError
+from stereo_depth_ros.io.datasets import DatasetFrame, list_images, read_frame, read_image, read_picture
+from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+from stereo_depth_ros.types import F32, F64
+
+__all__ = ["KittiDataset", "read_calibration", "rig_from_calibration"]
+
+# folders of left and right images, and the numbers of the two cameras
+_LAYOUTS = (
+    ("image_l", "image_r", 0, 1),
+    ("image_0", "image_1", 0, 1),
+    ("image_2", "image_3", 2, 3),
+    ("image_00/data", "image_01/data", 0, 1),
+    ("image_02/data", "image_03/data", 2, 3),
+)
+_TRUTH_FOLDERS = ("disp_occ_0", "disp_occ")
+_PERIOD_NS = 10**8  # the cameras run at 10 Hz
+_FIRST_STAMP_NS = 10**9  # where a sequence counts from 0: a ROS time of 0 means that no time is set
+
+
+class KittiDataset:
+    """A sequence, or the training pairs of a stereo benchmark.
+
+    The stereo benchmarks have a calibration file per pair; the pairs that share the calibration of the first one are
+    read, ``left_out`` counts the others.
+
+    Args:
+        folder: what holds ``image_0`` and ``image_1`` (or ``image_2``/``image_3``, ``image_l``/``image_r``,
+            ``image_00/data``/``image_01/data``).
+
+    Raises:
+        BagError: no known layout, no calibration, or a file that cannot be read.
+        CalibrationError: a calibration that does not fit the images.
+    """
+
+    has_stamps = True
+
+    def __init__(self, folder: Path) -> None:
+        left, right, *cameras = next((x for x in _LAYOUTS if (folder / x[0]).is_dir()), _LAYOUTS[0])
+        self.folder = folder
+        names = [path.name for path in list_images(folder / left) if (folder / right / path.name).exists()]
+        if not names:
+            raise BagError(f"{folder} is not a KITTI folder: it has no pairs in image_0 and image_1 or the like")
+        calibrations = {name: _find_calibration(folder, name) for name in names}
+        first = calibrations[names[0]].read_bytes()
+        kept = [name for name in names if calibrations[name].read_bytes() == first]
+        self.left_out = len(names) - len(kept)
+        self._pairs = [(folder / left / name, folder / right / name) for name in kept]
+        self._stamps = _read_stamps(folder, Path(left).parent, len(names))
+        height, width = read_image(self._pairs[0][0]).shape[:2]
+        calibration = read_calibration(calibrations[names[0]])
+        self.rig = rig_from_calibration(calibration, (cameras[0], cameras[1]), (width, height))
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __iter__(self) -> Iterator[DatasetFrame]:
+        for (left, right), stamp_ns in zip(self._pairs, self._stamps, strict=False):
+            yield DatasetFrame(
+                read_frame(left, self.rig.left, stamp_ns),
+                read_frame(right, self.rig.right, stamp_ns),
+                self._truth(left.name),
+            )
+
+    def _truth(self, name: str) -> F32 | None:
+        path = next((self.folder / x / name for x in _TRUTH_FOLDERS if (self.folder / x / name).exists()), None)
+        return None if path is None else _read_truth(path)
+
+
+def read_calibration(path: Path) -> dict[str, F64]:
+    """The numbers of a calibration file by name; rows without names are P0, P1, ...
+
+    Raises:
+        BagError: a row that is not numbers.
+    """
+    values: dict[str, F64] = {}
+    for row in path.read_text().splitlines():
+        name, colon, numbers = row.rpartition(":")
+        if not row.strip() or name == "calib_time" or row.startswith("calib_time"):
+            continue
+        try:
+            values[name.strip() if colon else f"P{len(values)}"] = np.array(numbers.split(), np.float64)
+        except ValueError as error:
+            raise BagError(f"{path} is not a KITTI calibration, row {row[:40]!r}: {error}") from error
+    return values
+
+
+def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size: tuple[int, int]) -> StereoRig:
+    """The rig of two cameras.
+
+    Images of the size S_rect, and all of odometry, are rectified; images of the size S are raw and have K, D, R_rect.
+    The rows of the colour cameras are aligned; the millimetres that their P has vertically are left out.
+
+    Args:
+        values: what :func:`read_calibration` gives.
+        cameras: numbers of the left and the right camera.
+        size: width, height of the images, px.
+
+    Raises:
+        BagError: the calibration lacks these cameras.
+        CalibrationError: it cannot be that of a rectified pair.
+    """
+    left, right = cameras
+    try:
+        P_left, P_right = (_projection(values, camera) for camera in cameras)
+    except KeyError as error:
+        raise BagError(f"the KITTI calibration has no {error.args[0]}: it has {', '.join(values)}") from error
+    baseline_m = (P_left[0, 3] - P_right[0, 3]) / P_left[0, 0]
+    rig = StereoRig.from_rectified(
+        P_left[0, 0], P_left[1, 1], P_left[0, 2], P_right[0, 2], P_left[1, 2], baseline_m, size
+    )
+    raw_size = values.get(f"S_{left:02d}")
+    if raw_size is None or tuple(raw_size.astype(int)) != size:
+        return rig
+    return StereoRig(_raw_camera(values, left, rig.left), _raw_camera(values, right, rig.right))
+
+
+def _projection(values: dict[str, F64], camera: int) -> F64:
+    name = f"P{camera}" if f"P{camera}" in values else f"P_rect_{camera:02d}"
+    return values[name].reshape(3, 4)
+
+
+def _raw_camera(values: dict[str, F64], camera: int, rectified: CameraModel) -> CameraModel:
+    K, D, R = (values[f"{name}_{camera:02d}"] for name in ("K", "D", "R_rect"))
+    return CameraModel(
+        rectified.width,
+        rectified.height,
+        "plumb_bob",
+        K.reshape(3, 3),
+        D,
+        R.reshape(3, 3),
+        rectified.P,
+        rectified.frame_id,
+    )
+
+
+def _find_calibration(folder: Path, image: str) -> Path:
+    """Of the sequence, of the pair (its name without the number of the frame), or of the drive's day."""
+    pair = image.partition("_")[0].partition(".")[0] + ".txt"
+    places = [
+        folder / "calib.txt",
+        folder / "calib_cam_to_cam.txt",
+        folder / "calib_cam_to_cam" / pair,
+        folder / "calib" / pair,
+        folder.parent / "calib_cam_to_cam.txt",
+    ]
+    for place in places:
+        if place.exists():
+            return place
+    raise BagError(f"no calibration for {folder}: put calib.txt or calib_cam_to_cam.txt there")
+
+
+def _read_stamps(folder: Path, camera: Path, count: int) -> list[int]:
+    """Nanoseconds of each pair: times.txt (odometry), timestamps.txt (raw), else 10 Hz."""
+    try:
+        if (path := folder / "times.txt").exists():
+            stamps = [_FIRST_STAMP_NS + round(float(time) * 1e9) for time in path.read_text().split()]
+        elif (path := folder / camera / "timestamps.txt").exists():
+            stamps = [_parse_date(row) for row in path.read_text().splitlines() if row.strip()]
+        else:
+            return [_FIRST_STAMP_NS + index * _PERIOD_NS for index in range(count)]
+    except ValueError as error:
+        raise BagError(f"{path} is not a list of times: {error}") from error
+    if len(stamps) < count:
+        raise BagError(f"{path} has {len(stamps)} times for {count} pairs: copy it again, or remove it to have 10 Hz")
+    return stamps
+
+
+def _parse_date(row: str) -> int:
+    """Nanoseconds of a row like 2011-09-26 13:02:25.964389445."""
+    whole, _, fraction = row.strip().partition(".")
+    seconds = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=timezone.utc)
+    return int(seconds.timestamp()) * 10**9 + int(fraction.ljust(9, "0")[:9] or 0)
+
+
+def _read_truth(path: Path) -> F32:
+    """float32 (H, W): 16 bit pictures hold 256 levels a pixel, 0 is unknown."""
+    picture = read_picture(path)
+    if picture.dtype != np.uint16:
+        raise BagError(f"{path} is {picture.dtype}, KITTI's disparities are uint16: copy it again")
+    return np.where(picture > 0, picture.astype(np.float32) / 256, np.float32(np.nan))

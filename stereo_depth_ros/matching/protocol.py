@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What every matcher is, and the checks at its door."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.errors import ConfigError, ImageError
+from stereo_depth_ros.types import F32, U8, MatchResult
+
+__all__ = ["Matcher", "check_pair", "check_search", "disparity_buffer"]
+
+# Disparities are 16-bit integers in steps of 1/16 px, as OpenCV's; one whole step is kept for "invalid".
+FIXED_STEPS = 16
+LOWEST_DISPARITY = -2047
+HIGHEST_DISPARITY = 2047
+
+
+class Matcher(Protocol):
+    """A stereo matching method. One object serves one thread at a time: it keeps its buffers between frames."""
+
+    @property
+    def name(self) -> str:
+        """Name under which :func:`~stereo_depth_ros.matching.create_matcher` makes it."""
+
+    @property
+    def config(self) -> MatchingConfig:
+        """The parameters in use; other parameters are another matcher."""
+
+    @property
+    def step_px(self) -> float:
+        """Smallest difference between two disparities, px."""
+
+    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
+        """Disparities of the left image.
+
+        Args:
+            left, right: uint8 (H, W), rectified grey: a point has the same row in both.
+            out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it.
+
+        Raises:
+            ImageError: wrong dtype or shape, or too small for the window and the search.
+        """
+
+
+def check_search(config: MatchingConfig) -> None:
+    """ConfigError where the disparities searched do not fit in 16-bit steps of 1/16 px."""
+    if config.min_disparity < LOWEST_DISPARITY or config.max_disparity > HIGHEST_DISPARITY:
+        raise ConfigError(
+            f"disparities {config.min_disparity}..{config.max_disparity} are searched, but only "
+            f"{LOWEST_DISPARITY}..{HIGHEST_DISPARITY} can be stored: change min_disparity or lower disparity_range"
+        )
+
+
+def check_pair(left: U8, right: U8, config: MatchingConfig) -> None:
+    """ImageError where the images are not two uint8 (H, W) of one size, with room for the window and the search."""
+    for side, image in (("left", left), ("right", right)):
+        if image.dtype != np.uint8 or image.ndim != 2:
+            raise ImageError(
+                f"{side} image is {image.dtype} of shape {image.shape}, matching takes uint8 (H, W): convert it to grey"
+            )
+    if left.shape != right.shape:
+        raise ImageError(f"left image is {left.shape}, right image is {right.shape}: both must have one size")
+    height, width = left.shape
+    window = config.correlation_window_size
+    need = window + max(0, config.max_disparity) + max(0, -config.min_disparity)
+    if width < need or height < window:
+        raise ImageError(
+            f"images of {width} x {height} px (width x height), but a window of {window} px searched over disparities "
+            f"{config.min_disparity}..{config.max_disparity} needs {need} x {window} px: "
+            "lower disparity_range or correlation_window_size, or use larger images"
+        )
+
+
+def disparity_buffer(out: F32 | None, shape: tuple[int, ...]) -> F32:
+    """``out`` after a check, or a new float32 array of ``shape``."""
+    if out is None:
+        return np.empty(shape, np.float32)
+    if out.dtype != np.float32 or out.shape != shape or not out.flags.c_contiguous or not out.flags.writeable:
+        raise ImageError(
+            f"disparity buffer is {out.dtype} of shape {out.shape}, it must be writeable C-contiguous float32 "
+            f"of shape {shape}: pass such an array or None"
+        )
+    return out

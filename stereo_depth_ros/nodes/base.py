@@ -1,0 +1,160 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What all nodes share: parameters, health, outputs that are made on demand, inputs that exist only then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.errors import TopicError
+from stereo_depth_ros.nodes.health import Health
+from stereo_depth_ros.nodes.parameters import NodeParameters
+from stereo_depth_ros.nodes.ros_types import RclpyTypes
+
+__all__ = ["Output", "StereoNode"]
+
+_SILENCE_S = 5.0  # after this time without a message on an input, the node says so
+
+
+class Output:
+    """A publisher and whether anybody wants its messages."""
+
+    def __init__(self, publisher: Publisher) -> None:
+        self._publisher = publisher
+
+    @property
+    def wanted(self) -> bool:
+        """True while there is a subscriber."""
+        return bool(self._publisher.get_subscription_count())
+
+    def publish(self, message: Any) -> None:
+        """Send; the message's memory may be used again afterwards."""
+        self._publisher.publish(message)
+
+
+@dataclass
+class _Input:
+    message_type: Any
+    topic: str
+    callback: Callable[[Any], None]
+    wanted: Callable[[], bool]
+    subscription: Subscription | None = None
+    received: int = 0
+    received_before: int = 0
+    incompatible: list[str] = field(default_factory=list)
+
+
+class StereoNode(Node):  # type: ignore[misc]
+    """A node that subscribes to its inputs while somebody subscribes to one of its outputs.
+
+    Args:
+        name: node name.
+        configs: config classes whose parameters it declares; PairingConfig is always one of them.
+
+    Raises:
+        ConfigError: see :class:`NodeParameters`.
+    """
+
+    def __init__(self, name: str, *configs: type) -> None:
+        super().__init__(name)
+        self.types = RclpyTypes()
+        self.parameters = NodeParameters(self, PairingConfig, *configs)
+        self.parameters.on_change = self._follow_demand
+        self.health = Health(self)
+        self._outputs: list[Output] = []
+        self._inputs: list[_Input] = []
+        self.create_timer(_SILENCE_S, self._report_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def add_output(self, message_type: Any, topic: str) -> Output:
+        """A reliable publisher; its first subscriber wakes the node."""
+        publisher = self.create_publisher(
+            message_type,
+            topic,
+            QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=5, reliability=ReliabilityPolicy.RELIABLE),
+            event_callbacks=PublisherEventCallbacks(matched=lambda _: self._follow_demand()),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self._outputs.append(Output(publisher))
+        return self._outputs[-1]
+
+    def add_input(
+        self,
+        message_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """A best-effort subscription while an output, and it, is wanted; errors of the callback become complaints."""
+        self._inputs.append(_Input(message_type, topic, callback, wanted))
+
+    def refuse_equal_topics(self, left: str, right: str) -> None:
+        """Raise TopicError where both eyes were remapped to the same topic."""
+        resolved = self.resolve_topic_name(left)
+        if resolved == self.resolve_topic_name(right):
+            raise TopicError(f"{left} and {right} are both {resolved}: remap them to different topics")
+
+    def _follow_demand(self) -> None:
+        demand = any(output.wanted for output in self._outputs)
+        for item in self._inputs:
+            wanted = demand and item.wanted()
+            if wanted and item.subscription is None:
+                with self.health.guard():
+                    item.subscription = self._subscribe(item)
+            elif not wanted and item.subscription is not None:
+                self.destroy_subscription(item.subscription)
+                item.subscription = None
+
+    def _subscribe(self, item: _Input) -> Subscription:
+        def receive(message: Any) -> None:
+            item.received += 1
+            with self.health.guard():
+                item.callback(message)
+
+        def incompatible(event: Any) -> None:
+            policy = qos_policy_name_from_kind(event.last_policy_kind)
+            item.incompatible.append(policy)
+            self.health.complain(
+                f"incompatible qos {item.topic}",
+                f"{self.resolve_topic_name(item.topic)}: a publisher offers less {policy} than is asked for, nothing "
+                f"will arrive from it: change the publisher, or set qos_overrides.{self.resolve_topic_name(item.topic)}"
+                f".subscription.{policy.lower()}",
+            )
+
+        return self.create_subscription(
+            item.message_type,
+            item.topic,
+            receive,
+            QoSProfile(
+                history=HistoryPolicy.KEEP_LAST,
+                depth=self.parameters.get(PairingConfig).queue_size,
+                reliability=ReliabilityPolicy.BEST_EFFORT,
+            ),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _report_silence(self) -> None:
+        for item in self._inputs:
+            if item.subscription is not None and item.received == item.received_before:
+                topic = self.resolve_topic_name(item.topic)
+                publishers = self.count_publishers(topic)
+                remedy = (
+                    f"{publishers} publisher(s) are there: check their QoS and that they send"
+                    if publishers
+                    else "nobody publishes it: start the camera or remap the topic"
+                )
+                self.health.complain(
+                    f"silent {item.topic}", f"{topic}: nothing received for {_SILENCE_S:g} s; {remedy}"
+                )
+            item.received_before = item.received

@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Depth from published disparities: disparity to depth/image_rect and depth/camera_info (REP 118)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, Image
+from stereo_msgs.msg import DisparityImage
+
+from stereo_depth_ros.config import DepthConfig
+from stereo_depth_ros.depth import depth_from_disparity
+from stereo_depth_ros.io.camera_info_message import rectified_camera_info
+from stereo_depth_ros.io.disparity_message import published_disparity, published_triangulation
+from stereo_depth_ros.io.message_types import stamp_ns
+from stereo_depth_ros.io.result_messages import PayloadPool, depth_message
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.stereo_rig import StereoRig
+
+__all__ = ["DepthNode", "main"]
+
+
+class DepthNode(StereoNode):
+    """Subscribes disparity and {left,right}/camera_info, publishes depth/image_rect and depth/camera_info."""
+
+    def __init__(self) -> None:
+        super().__init__("depth_node", DepthConfig)
+        self._pool = PayloadPool(self.types)
+        self._calibration = CalibrationInput(self)
+        self._image = self.add_output(Image, "depth/image_rect")
+        self._info = self.add_output(CameraInfo, "depth/camera_info")
+        self.add_input(DisparityImage, "disparity", self._receive)
+
+    def _receive(self, message: Any) -> None:
+        self._calibration.with_rig(lambda rig: self._publish(message, rig))
+
+    def _publish(self, message: Any, rig: StereoRig) -> None:
+        topic = self.resolve_topic_name("disparity")
+        stamp, frame_id = stamp_ns(message.header), message.header.frame_id
+        with self.health.timed("depth"):
+            disparity_px = published_disparity(message, topic)
+            depth_m = depth_from_disparity(disparity_px, published_triangulation(message, rig, topic))
+        encoding = self.parameters.get(DepthConfig).depth_encoding
+        self._image.publish(depth_message(self.types, self._pool, depth_m, encoding, stamp, frame_id))
+        self._info.publish(rectified_camera_info(self.types, rig, stamp, frame_id))
+
+
+def main() -> int:
+    """Run the node."""
+    return run(DepthNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Matches rectified pairs: left, right image_rect to disparity."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from stereo_msgs.msg import DisparityImage
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.disparity import DisparityStage
+from stereo_depth_ros.io.image_message import to_gray
+from stereo_depth_ros.io.result_messages import PayloadPool, match_message
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.stereo_rig import StereoRig
+
+__all__ = ["DisparityNode", "main"]
+
+
+class DisparityNode(StereoNode):
+    """Subscribes {left,right}/{image_rect,camera_info}, publishes disparity."""
+
+    def __init__(self) -> None:
+        super().__init__("disparity_node", MatchingConfig)
+        self.refuse_equal_topics("left/image_rect", "right/image_rect")
+        self._pool = PayloadPool(self.types)
+        self._stage = functools.lru_cache(maxsize=1)(DisparityStage)
+        self._calibration = CalibrationInput(self)
+        self._output = self.add_output(DisparityImage, "disparity")
+        pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
+        add_image_input(self, "left/image_rect", pairs.add_left)
+        add_image_input(self, "right/image_rect", pairs.add_right)
+
+    def _on_pair(self, left: Any, right: Any) -> None:
+        self._calibration.with_rig(lambda rig: self._match(left, right, rig))
+
+    def _match(self, left: Any, right: Any, rig: StereoRig) -> None:
+        config = self.parameters.get(MatchingConfig)
+        frames = [decode_from(self, f"{eye}/image_rect", m) for eye, m in (("left", left), ("right", right))]
+        for eye, frame in zip(("left", "right"), frames, strict=True):
+            rig.check_image(frame.pixels.shape[1], frame.pixels.shape[0], self.resolve_topic_name(f"{eye}/image_rect"))
+        with self.health.timed("match"):
+            match = self._stage(config, rig).match(to_gray(frames[0]), to_gray(frames[1]))
+        self._output.publish(match_message(self.types, self._pool, match, config, rig, frames[0]))
+
+
+def main() -> int:
+    """Run the node."""
+    return run(DisparityNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

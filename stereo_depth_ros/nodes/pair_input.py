@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Two topics whose messages belong together by their stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from sensor_msgs.msg import CompressedImage, Image
+
+from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.io.image_message import decode
+from stereo_depth_ros.io.message_types import stamp_ns
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.pairing import StereoPairing
+from stereo_depth_ros.types import Frame
+
+__all__ = ["PairInput", "add_image_input", "decode_from"]
+
+
+class PairInput:
+    """Pairs the messages of two topics; image bytes are not looked at before a pair exists.
+
+    Args:
+        node: counts what is paired and dropped.
+        left, right: topics; only for messages.
+        on_pair: called with each pair, in the order of stamps.
+    """
+
+    def __init__(self, node: StereoNode, left: str, right: str, on_pair: Callable[[Any, Any], None]) -> None:
+        self._node = node
+        self._pairing: StereoPairing[Any] = StereoPairing(node.parameters.get(PairingConfig))
+        self._topics = (left, right)
+        self._on_pair = on_pair
+        self._backwards = 0
+
+    def add_left(self, message: Any) -> None:
+        """A message of the left topic."""
+        self._deliver(self._pairing.add_left(stamp_ns(message.header), message))
+
+    def add_right(self, message: Any) -> None:
+        """A message of the right topic."""
+        self._deliver(self._pairing.add_right(stamp_ns(message.header), message))
+
+    def _deliver(self, pairs: list[tuple[Any, Any]]) -> None:
+        self._count()
+        for left, right in pairs:
+            with self._node.health.guard():
+                self._on_pair(left, right)
+
+    def _count(self) -> None:
+        counts, counters = self._pairing.counts, self._node.health.counters
+        left, right = self._topics
+        counters["paired"] = counts.paired
+        counters[f"unpaired {left}"] = counts.dropped_left
+        counters[f"unpaired {right}"] = counts.dropped_right
+        counters["duplicate stamps"] = counts.duplicates
+        if counts.backwards > self._backwards:
+            self._backwards = counts.backwards
+            self._node.health.complain(
+                "stamps went backwards",
+                f"{left}, {right}: stamps went backwards; what waited was dropped, pairing begins anew: "
+                "expected when a bag starts again, else check the clock of the camera driver",
+            )
+
+
+def add_image_input(
+    node: StereoNode, topic: str, callback: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True
+) -> None:
+    """Subscribe an image topic as image_transport says: raw, or compressed with its suffix."""
+    if node.parameters.get(PairingConfig).image_transport == "compressed":
+        node.add_input(CompressedImage, f"{topic}/compressed", callback, wanted)
+    else:
+        node.add_input(Image, topic, callback, wanted)
+
+
+def decode_from(node: StereoNode, topic: str, message: Any) -> Frame:
+    """The frame in an Image or CompressedImage; MessageError names the topic as it is in the graph."""
+    return decode(message, node.resolve_topic_name(topic))

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Configs as ROS parameters: declared from their metadata, checked, and changed while running."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, parameter_infos, replace_checked
+from stereo_depth_ros.errors import ConfigError
+
+__all__ = ["NodeParameters"]
+
+ConfigT = TypeVar("ConfigT")
+
+# Parameters that rclpy itself knows.
+_ROS_OWN = ("use_sim_time", "start_type_description_service")
+
+
+class NodeParameters:
+    """The configs of a node.
+
+    Args:
+        node: declares the parameters.
+        configs: config classes of the stages this node runs.
+
+    Raises:
+        ConfigError: a value given at start has a wrong type or range, or a name is unknown to every stage.
+    """
+
+    def __init__(self, node: Node, *configs: type) -> None:
+        overrides = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+        _refuse_unknown(overrides)
+        self.on_change: Callable[[], None] = lambda: None
+        self._configs: dict[type, Any] = {}
+        for config in configs:
+            given = {i.name: overrides[i.name] for i in parameter_infos(config) if i.name in overrides}
+            self._configs[config] = replace_checked(config(), given)
+            for info in parameter_infos(config):
+                node.declare_parameter(info.name, info.default, _descriptor(info))
+        node.add_on_set_parameters_callback(self._on_set)
+
+    def get(self, config: type[ConfigT]) -> ConfigT:
+        """The config as it is now; another object after a change."""
+        return self._configs[config]  # type: ignore[no-any-return]
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            changed = {
+                config: replace_checked(current, {p.name: p.value for p in parameters if p.name in _names(config)})
+                for config, current in self._configs.items()
+            }
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        changed = {config: value for config, value in changed.items() if value != self._configs[config]}
+        if changed:
+            self._configs |= changed
+            self.on_change()
+        return SetParametersResult(successful=True)
+
+
+def _names(config: type) -> set[str]:
+    return {info.name for info in parameter_infos(config)}
+
+
+def _refuse_unknown(overrides: dict[str, Any]) -> None:
+    """One parameter file serves all nodes: refused is only what no stage knows."""
+    known = {*_ROS_OWN, *(name for config in STAGE_CONFIGS for name in _names(config))}
+    for name in overrides:
+        if name not in known and not name.startswith("qos_overrides."):
+            close = difflib.get_close_matches(name, known, 1)
+            remedy = f"did you mean {close[0]!r}?" if close else "see the table of parameters in the README"
+            raise ConfigError(f"unknown parameter {name!r}: {remedy}")
+
+
+def _descriptor(info: ParameterInfo) -> ParameterDescriptor:
+    unit = f" [{info.unit}]" if info.unit else ""
+    choices = f" One of {', '.join(info.choices)}." if info.choices else ""
+    descriptor = ParameterDescriptor(description=info.doc + unit, read_only=not info.run_time)
+    descriptor.additional_constraints = choices.strip()
+    if info.low is not None and info.high is not None:
+        if info.type is int:
+            low, high, step = int(info.low), int(info.high), int(info.step or 1)
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=step)]
+        else:
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(info.low), to_value=float(info.high), step=float(info.step or 0))
+            ]
+    return descriptor

@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Points from published disparities: disparity and the left rectified image to points2."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sensor_msgs.msg import PointCloud2
+from stereo_msgs.msg import DisparityImage
+
+from stereo_depth_ros.config import CloudConfig
+from stereo_depth_ros.io.cloud_message import cloud_message
+from stereo_depth_ros.io.disparity_message import published_disparity, published_triangulation
+from stereo_depth_ros.io.message_types import stamp_ns
+from stereo_depth_ros.io.result_messages import PayloadPool
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.point_cloud import CloudLayout
+from stereo_depth_ros.stereo_rig import StereoRig
+
+__all__ = ["PointCloudNode", "main"]
+
+_COLOR = "left/image_rect_color"
+
+
+class PointCloudNode(StereoNode):
+    """Subscribes disparity, left/image_rect_color and {left,right}/camera_info, publishes points2.
+
+    While use_color is false no image is waited for.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("point_cloud_node", CloudConfig)
+        self._pool = PayloadPool(self.types)
+        self._calibration = CalibrationInput(self)
+        self._output = self.add_output(PointCloud2, "points2")
+        self._pairs = PairInput(self, "disparity", _COLOR, self._on_pair)
+        self.add_input(DisparityImage, "disparity", self._receive)
+        add_image_input(self, _COLOR, self._pairs.add_right, wanted=lambda: self._config.use_color)
+
+    @property
+    def _config(self) -> CloudConfig:
+        return self.parameters.get(CloudConfig)
+
+    def _receive(self, disparity: Any) -> None:
+        if self._config.use_color:
+            self._pairs.add_left(disparity)
+        else:
+            self._on_pair(disparity, None)
+
+    def _on_pair(self, disparity: Any, image: Any) -> None:
+        self._calibration.with_rig(lambda rig: self._publish(disparity, image, rig))
+
+    def _publish(self, disparity: Any, image: Any, rig: StereoRig) -> None:
+        layout, topic = CloudLayout.of(self._config), self.resolve_topic_name("disparity")
+        if image is None and layout.rgb_offset is not None:
+            return  # use_color was switched on between
+        color = None if image is None else decode_from(self, _COLOR, image)
+        with self.health.timed("cloud"):
+            disparity_px = published_disparity(disparity, topic)
+            message = cloud_message(
+                self.types,
+                disparity_px,
+                published_triangulation(disparity, rig, topic),
+                layout,
+                stamp_ns=stamp_ns(disparity.header),
+                frame_id=disparity.header.frame_id,
+                color=None if color is None else color.pixels,
+                color_encoding="mono8" if color is None else color.encoding,
+                payload=self._pool.get(f"cloud {layout}", disparity_px.size * layout.point_step),
+            )
+        self._output.publish(message)
+
+
+def main() -> int:
+    """Run the node."""
+    return run(PointCloudNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

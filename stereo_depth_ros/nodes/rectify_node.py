@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rectifies each eye as its image arrives: left, right image_raw to image_rect (grey) and image_rect_color."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from sensor_msgs.msg import Image
+
+from stereo_depth_ros.io.image_message import image_message, to_gray
+from stereo_depth_ros.io.result_messages import PayloadPool
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.pair_input import add_image_input, decode_from
+from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.rectification import Rectifier
+from stereo_depth_ros.stereo_rig import StereoRig
+
+__all__ = ["RectifyNode", "main"]
+
+
+class RectifyNode(StereoNode):
+    """Subscribes {left,right}/{image_raw,camera_info}, publishes {left,right}/{image_rect,image_rect_color}."""
+
+    def __init__(self) -> None:
+        super().__init__("rectify_node")
+        self.refuse_equal_topics("left/image_raw", "right/image_raw")
+        self._pool = PayloadPool(self.types)
+        self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
+        self._calibration = CalibrationInput(self)
+        self._eyes = {eye: self._add_eye(eye) for eye in ("left", "right")}
+
+    def _add_eye(self, eye: str) -> tuple[Any, Any]:
+        def receive(message: Any) -> None:
+            self._calibration.with_rig(lambda rig: self._rectify(eye, message, rig))
+
+        add_image_input(self, f"{eye}/image_raw", receive)
+        return self.add_output(Image, f"{eye}/image_rect"), self.add_output(Image, f"{eye}/image_rect_color")
+
+    def _rectify(self, eye: str, message: Any, rig: StereoRig) -> None:
+        gray_output, color_output = self._eyes[eye]
+        rectifier = self._rectifier(rig)
+        rectify = rectifier.rectify_left if eye == "left" else rectifier.rectify_right
+        frame = decode_from(self, f"{eye}/image_raw", message)
+        rig.check_image(frame.pixels.shape[1], frame.pixels.shape[0], self.resolve_topic_name(f"{eye}/image_raw"))
+        with self.health.timed(f"rectify {eye}"):
+            for output, pixels, encoding in (
+                (gray_output, to_gray(frame) if gray_output.wanted else None, "mono8"),
+                (color_output, frame.pixels if color_output.wanted else None, frame.encoding),
+            ):
+                if pixels is not None:
+                    payload = self._pool.get(f"{eye} {encoding}", pixels.nbytes)
+                    rectified = rectify(pixels, payload[1].reshape(pixels.shape))
+                    output.publish(
+                        image_message(self.types, rectified, encoding, frame.stamp_ns, frame.frame_id, payload)
+                    )
+
+
+def main() -> int:
+    """Run the node."""
+    return run(RectifyNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

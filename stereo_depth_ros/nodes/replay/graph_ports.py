@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The replay's ends of the graph: publishers of raw stereo, raw subscriptions to every output, the nodes' diagnostics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from stereo_msgs.msg import DisparityImage
+
+from stereo_depth_ros.bag_pairs import SerializedPair
+from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
+from stereo_depth_ros.nodes.replay.recorder import Recorder
+from stereo_depth_ros.replay_report import stage_timings
+
+__all__ = ["GraphPorts"]
+
+_OUTPUTS = {
+    "left/image_rect": (Image, "sensor_msgs/msg/Image"),
+    "left/image_rect_color": (Image, "sensor_msgs/msg/Image"),
+    "right/image_rect": (Image, "sensor_msgs/msg/Image"),
+    "disparity": (DisparityImage, "stereo_msgs/msg/DisparityImage"),
+    "depth/image_rect": (Image, "sensor_msgs/msg/Image"),
+    "depth/camera_info": (CameraInfo, "sensor_msgs/msg/CameraInfo"),
+    "points2": (PointCloud2, "sensor_msgs/msg/PointCloud2"),
+}
+_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
+_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class GraphPorts:
+    """Everything of the replay that touches DDS; bytes are passed on as they are.
+
+    Args:
+        node: owns the endpoints; its namespace holds the topics.
+        recorder: gets the camera infos that are sent and the outputs that are expected.
+        compressed: the bag's images are CompressedImage.
+        clock: publish the time of the pairs on /clock.
+
+    Attributes:
+        output_topics: names of the outputs, relative to the namespace.
+        on_output: called with topic, stamp and time of receipt (both ns) of every output; True where it is expected.
+    """
+
+    def __init__(self, node: Node, recorder: Recorder, compressed: bool, clock: bool) -> None:
+        self._node = node
+        self._recorder = recorder
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        suffix, image_type = ("/compressed", CompressedImage) if compressed else ("", Image)
+        self._publishers = {
+            field: node.create_publisher(message_type, topic, _QOS)
+            for field, topic, message_type in (
+                ("left_info", "left/camera_info", CameraInfo),
+                ("right_info", "right/camera_info", CameraInfo),
+                ("left", f"left/image_raw{suffix}", image_type),
+                ("right", f"right/image_raw{suffix}", image_type),
+            )
+        }
+        self._clock: Publisher | None = node.create_publisher(Clock, "/clock", 10) if clock else None
+        self.output_topics = tuple(_OUTPUTS)
+        self.on_output: Callable[[str, int, int], bool] = lambda topic, stamp_ns, now_ns: False
+        self._subscriptions = {
+            topic: node.create_subscription(
+                message_type, topic, lambda data, topic=topic: self._receive(topic, data), _QOS, raw=True
+            )
+            for topic, (message_type, _) in _OUTPUTS.items()
+        }
+        self._statuses: dict[str, Any] = {}
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 10)
+
+    def spin(self, timeout_s: float) -> None:
+        """Handle what has come, or wait for something up to that time."""
+        self._executor.spin_once(timeout_sec=timeout_s)
+
+    def send_all_but_last(self, pair: SerializedPair) -> None:
+        """Publish the time, both camera infos and the left image."""
+        if self._clock is not None:
+            self._clock.publish(_clock_message(max(pair.stamp_ns, pair.right_stamp_ns)))
+        for field, stamp_ns in (("left_info", pair.stamp_ns), ("right_info", pair.right_stamp_ns)):
+            data = getattr(pair, field)
+            self._recorder.write(self._publishers[field].topic_name, _INFO_TYPE, data, stamp_ns)
+            self._publishers[field].publish(data)
+        self._publishers["left"].publish(pair.left)
+
+    def send_last(self, pair: SerializedPair) -> None:
+        """Publish the right image."""
+        self._publishers["right"].publish(pair.right)
+
+    def missing(self) -> list[str]:
+        """One phrase for each input that nobody subscribes and each output that nobody publishes."""
+        inputs = [p.topic_name for p in self._publishers.values() if not p.get_subscription_count()]
+        outputs = [s.topic_name for s in self._subscriptions.values() if not s.get_publisher_count()]
+        return [f"{name} has no subscriber" for name in inputs] + [f"{name} has no publisher" for name in outputs]
+
+    def count_endpoints(self) -> int:
+        """Publishers and subscribers on all topics of the replay, of everybody."""
+        names = [p.topic_name for p in self._publishers.values()] + [s.topic_name for s in self._subscriptions.values()]
+        return sum(self._node.count_publishers(name) + self._node.count_subscribers(name) for name in names)
+
+    def await_diagnostics(self, timeout_s: float) -> None:
+        """Wait until every node that publishes diagnostics has done so once more."""
+        self._statuses.clear()
+        end = time.monotonic() + timeout_s
+        while len(self._statuses) < self._node.count_publishers("/diagnostics") and time.monotonic() < end:
+            self.spin(0.05)
+
+    def stages_ms(self) -> dict[str, tuple[float, float]]:
+        """(p50, p95) in milliseconds per "node: stage", from the newest diagnostics."""
+        return {
+            f"{name}: {stage}": times
+            for name, status in sorted(self._statuses.items())
+            for stage, times in stage_timings({item.key: item.value for item in status.values}).items()
+        }
+
+    def complaints(self) -> str:
+        """What the nodes say is wrong, from the newest diagnostics; empty for nothing."""
+        wrong = {name: status for name, status in self._statuses.items() if status.level != DiagnosticStatus.OK}
+        return "; ".join(f"{name}: {status.message}" for name, status in sorted(wrong.items()))
+
+    def warn(self, text: str) -> None:
+        """Log a warning."""
+        self._node.get_logger().warning(text)
+
+    def close(self) -> None:
+        """Stop the executor; the node and its endpoints stay the caller's."""
+        self._executor.shutdown()
+
+    def _receive(self, topic: str, data: bytes) -> None:
+        now_ns, stamp_ns = time.monotonic_ns(), cdr_stamp_ns(data)
+        if self.on_output(topic, stamp_ns, now_ns):
+            self._recorder.write(self._subscriptions[topic].topic_name, _OUTPUTS[topic][1], data, stamp_ns)
+
+    def _receive_diagnostics(self, message: Any) -> None:
+        self._statuses |= {status.name.rpartition("/")[2]: status for status in message.status}
+
+
+def _clock_message(stamp_ns: int) -> Any:
+    message = Clock()
+    message.clock.sec, message.clock.nanosec = divmod(stamp_ns, 10**9)
+    return message

@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag through a live graph that is started for it: the nodes, the replay, and the end of both."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from stereo_depth_ros.bag_pairs import BagPairs
+from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.graph_runner import GraphProcesses
+from stereo_depth_ros.nodes.replay_node import replay
+from stereo_depth_ros.replay_options import ReplayOptions
+from stereo_depth_ros.replay_report import ReplayResult
+
+__all__ = ["replay_through_graph"]
+
+
+def replay_through_graph(
+    options: ReplayOptions,
+    shape: str,
+    parameters: Mapping[str, bool | int | float | str],
+    config: PipelineConfig,
+    progress: Callable[[int, int], None],
+    params_file: Path | None = None,
+) -> ReplayResult:
+    """Start the nodes, play, stop the nodes.
+
+    Args:
+        options: what is played, and how.
+        shape: "fused" or "separate".
+        parameters: parameters of the nodes; image transport and simulated time are added.
+        config: what ``parameters`` and ``params_file`` come to.
+        progress: called with pairs sent and pairs to send (at most).
+        params_file: a ROS parameter file for the nodes.
+
+    Raises:
+        BagError, TopicError: nothing to play; before any node is started.
+        GraphError: a node ended, or nothing comes out.
+    """
+    with BagPairs(options.selection, config.pairing) as pairs:
+        transport = "compressed" if pairs.topics.compressed else "raw"
+    all_parameters = {**parameters, "image_transport": transport}
+    if options.clock:
+        all_parameters["use_sim_time"] = True
+    with (
+        tempfile.TemporaryDirectory(prefix="stereo-depth-") as logs,
+        GraphProcesses(shape, all_parameters, Path(logs), params_file) as graph,
+    ):
+        return replay(options, progress, graph.check, config)

@@ -1,0 +1,167 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sends the pairs of a bag into the graph, each when the graph is ready for it, and collects what comes out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+from stereo_depth_ros.bag_pairs import BagPairs, SerializedPair
+from stereo_depth_ros.errors import GraphError
+from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
+from stereo_depth_ros.nodes.replay.tracker import LostPair, PairTracker
+from stereo_depth_ros.replay_options import ReplayOptions
+from stereo_depth_ros.replay_report import OutputStats
+
+__all__ = ["Player"]
+
+_GRAPH_TIMEOUT_S = 20.0
+_SETTLED_S = 0.5  # endpoints appear one after the other; after this time without a new one the graph is complete
+_LOST_AFTER_S = 10.0
+_LAST_AFTER_S = 2.0  # in real time, what has not come this long after the last pair was dropped
+_MOST_SILENT_PAIRS = 3  # pairs in a row without any output; more would each take ten seconds to say the same
+_SPIN_S = 0.05
+
+
+class Player:
+    """Plays one bag once; :meth:`play` does everything.
+
+    Args:
+        ports: publishers, subscriptions and the executor.
+        pairs: the open bag.
+        options: how to play.
+        in_flight: pairs that may be outstanding.
+        check: called many times a second while waiting; raises when the graph is gone.
+
+    Attributes:
+        sent: pairs sent.
+        wall_s: from the first pair sent to the last output received, seconds.
+        lost: pairs that were given up.
+    """
+
+    def __init__(
+        self, ports: GraphPorts, pairs: BagPairs, options: ReplayOptions, in_flight: int, check: Callable[[], None]
+    ) -> None:
+        self._ports = ports
+        self._pairs = pairs
+        self._options = options
+        self._in_flight = in_flight
+        self._check = check
+        self._tracker = PairTracker(ports.output_topics)
+        self._silent_pairs = 0
+        self._first_ns = self._last_ns = 0
+        self.sent = 0
+        self.lost: list[LostPair] = []
+        ports.on_output = self._on_output
+
+    @property
+    def wall_s(self) -> float:
+        """Seconds from the first pair sent to the last output received."""
+        return (self._last_ns - self._first_ns) / 1e9
+
+    @property
+    def stats(self) -> dict[str, OutputStats]:
+        """What has come, per output."""
+        return self._tracker.stats()
+
+    def play(self, progress: Callable[[int, int], None]) -> None:
+        """Wait for the graph, send every pair, wait for the last outputs.
+
+        Args:
+            progress: called with pairs sent and pairs to send (at most) after each pair.
+
+        Raises:
+            GraphError: an input without a subscriber, an output without a publisher, or no output for several pairs.
+            BagError: the bag is damaged where it is read.
+        """
+        self._wait_for_graph()
+        start_ns, first_stamp_ns = time.monotonic_ns(), None
+        for pair in self._rounds():
+            first_stamp_ns = pair.stamp_ns if first_stamp_ns is None else first_stamp_ns
+            self._wait_until_due(start_ns, pair.stamp_ns - first_stamp_ns)
+            if not self._options.realtime:
+                self._wait_for_outputs(self._in_flight - 1)
+            self._send(pair)
+            progress(self.sent, self._options.loop * self._pairs.count)
+        self._wait_for_outputs(0)
+
+    def _rounds(self) -> Iterator[SerializedPair]:
+        """The pairs of all rounds; each round is stamped one interval after the one before."""
+        shift_ns = 0
+        for _ in range(self._options.loop):
+            stamps: list[int] = []
+            for pair in self._pairs.pairs():
+                stamps.append(pair.stamp_ns)
+                yield pair.shifted(shift_ns)
+            if not stamps:
+                return
+            interval_ns = (stamps[-1] - stamps[0]) // (len(stamps) - 1) if len(stamps) > 1 else 10**9
+            shift_ns += stamps[-1] - stamps[0] + max(1, interval_ns)
+
+    def _send(self, pair: SerializedPair) -> None:
+        self._ports.send_all_but_last(pair)
+        now_ns = time.monotonic_ns()
+        self._tracker.sent(pair.stamp_ns, pair.right_stamp_ns, now_ns)
+        self._ports.send_last(pair)
+        self._first_ns = self._first_ns or now_ns
+        self.sent += 1
+
+    def _on_output(self, topic: str, stamp_ns: int, now_ns: int) -> bool:
+        expected = self._tracker.received(topic, stamp_ns, now_ns)
+        if expected:
+            self._last_ns = now_ns
+            self._silent_pairs = 0
+        return expected
+
+    def _wait_until_due(self, start_ns: int, bag_time_ns: int) -> None:
+        if self._options.speed:
+            due_ns = start_ns + round(bag_time_ns / self._options.speed)
+            while (left_s := (due_ns - time.monotonic_ns()) / 1e9) > 0:
+                self._spin(left_s)
+
+    def _wait_for_outputs(self, allowed: int) -> None:
+        """Until at most ``allowed`` pairs are outstanding; what takes too long is lost."""
+        timeout_s = _LAST_AFTER_S if self._options.realtime else _LOST_AFTER_S
+        while self._tracker.pending > allowed:
+            self._spin(_SPIN_S)
+            for pair in self._tracker.give_up(time.monotonic_ns() - round(1e9 * timeout_s)):
+                self._on_lost(pair)
+
+    def _on_lost(self, pair: LostPair) -> None:
+        self.lost.append(pair)
+        if self._options.realtime:
+            return
+        reason = self._ports.complaints() or "the nodes complain of nothing"
+        self._ports.warn(
+            f"pair {_seconds(pair.stamp_ns)}: {', '.join(pair.topics)} did not come within {_LOST_AFTER_S:g} s; {reason}"
+        )
+        self._silent_pairs += pair.nothing_came
+        if self._silent_pairs >= _MOST_SILENT_PAIRS:
+            raise GraphError(f"no output for {self._silent_pairs} pairs in a row, {_LOST_AFTER_S:g} s each: {reason}")
+
+    def _wait_for_graph(self) -> None:
+        end = time.monotonic() + _GRAPH_TIMEOUT_S
+        settled_at, endpoints = time.monotonic() + _SETTLED_S, -1
+        while True:
+            self._spin(_SPIN_S)
+            now, before, missing = time.monotonic(), endpoints, self._ports.missing()
+            endpoints = self._ports.count_endpoints()
+            if missing or endpoints != before:
+                settled_at = now + _SETTLED_S
+            if missing and now > end:
+                raise GraphError(
+                    f"{'; '.join(missing)} after {_GRAPH_TIMEOUT_S:g} s: start the nodes in the same ROS_DOMAIN_ID and "
+                    "namespace, or remap the topics"
+                )
+            if not missing and (now > settled_at or now > end):
+                return
+
+    def _spin(self, timeout_s: float) -> None:
+        self._check()
+        self._ports.spin(min(timeout_s, _SPIN_S))
+
+
+def _seconds(stamp_ns: int) -> str:
+    """A stamp in seconds with all its digits."""
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"

@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records serialised messages into a bag from a thread of its own, so that the graph does not wait for the disk."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import TypeAlias
+
+from stereo_depth_ros.errors import BagError
+from stereo_depth_ros.io.bag_writer import BagWriter
+
+__all__ = ["Recorder"]
+
+_QUEUE_SIZE = 64  # messages; about eight pairs with all their outputs
+_Item: TypeAlias = tuple[str, str, bytes, int]
+
+
+class Recorder:
+    """Writes into an MCAP bag while the ``with`` block lasts.
+
+    :meth:`write` returns at once while fewer than 64 messages wait, and waits for the disk otherwise. When the block
+    ends in an exception the bag stays under its partial name.
+
+    Args:
+        path: the bag to make; None records nothing.
+
+    Raises:
+        BagError: the bag cannot be made.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        # lz4: zstd takes longer over a cloud than the matcher over its pair
+        self._writer = BagWriter(path, compression="lz4", overwrite=True) if path is not None else None
+        self._queue: queue.Queue[_Item | None] = queue.Queue(_QUEUE_SIZE)
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+
+    def __enter__(self) -> Recorder:
+        if self._writer is not None:
+            self._writer.__enter__()
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._writer is None:
+            return
+        self._queue.put(None)
+        self._thread.join()
+        if self._error is not None and error is None:
+            self._writer.__exit__(type(self._error), self._error, None)
+            self._raise_error()
+        self._writer.__exit__(kind, error, trace)
+
+    def write(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int) -> None:
+        """Hand a serialised message to the writing thread.
+
+        Raises:
+            BagError: an earlier message could not be written.
+        """
+        if self._writer is not None:
+            self._raise_error()
+            self._queue.put((topic, msgtype, cdr, log_time_ns))
+
+    def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a record of names and values; call it before the first message."""
+        if self._writer is not None:
+            self._writer.write_metadata(name, values)
+
+    def _run(self) -> None:
+        assert self._writer is not None
+        while (item := self._queue.get()) is not None:
+            if self._error is None:  # after an error the queue is emptied, so that nobody waits for it
+                try:
+                    self._writer.write_raw(*item)
+                except Exception as error:  # handed to the thread that records
+                    self._error = error
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            raise BagError(f"recording stopped: {self._error}: make room on the disk") from self._error

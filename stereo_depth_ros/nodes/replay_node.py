@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Plays a stereo bag through the live graph and records what comes out; a node, and a call for programs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException
+from rclpy.logging import get_logger
+from rclpy.node import Node
+
+from stereo_depth_ros.bag_pairs import BagPairs
+from stereo_depth_ros.bag_score import score_disparity
+from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
+from stereo_depth_ros.errors import StereoDepthError
+from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
+from stereo_depth_ros.nodes.replay.player import Player
+from stereo_depth_ros.nodes.replay.recorder import Recorder
+from stereo_depth_ros.provenance import provenance
+from stereo_depth_ros.replay_options import ReplayOptions
+from stereo_depth_ros.replay_report import ReplayResult
+from stereo_depth_ros.transport import prepare_process
+
+__all__ = ["main", "play", "replay"]
+
+_DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes tell their timings once a second
+_APPROXIMATE_IN_FLIGHT = 3  # a node may need the next two images to know the closest one
+
+
+def _nothing(*_: Any) -> None:
+    """No progress is shown, nothing is checked."""
+
+
+def replay(
+    options: ReplayOptions,
+    progress: Callable[[int, int], None] = _nothing,
+    check: Callable[[], None] = _nothing,
+    config: PipelineConfig | None = None,
+) -> ReplayResult:
+    """Play a bag through the nodes that run in this ROS domain; rclpy is initialised for it and shut down after it.
+
+    Args:
+        options: what is played, and how.
+        progress: called with pairs sent and pairs to send (at most).
+        check: called many times a second; what it raises ends the replay.
+        config: parameters of the nodes, for the pairing of the bag's images and for the record beside the outputs.
+
+    Raises:
+        BagError, TopicError: nothing to play, or the recording cannot be written.
+        GraphError: nobody subscribes an input or publishes an output, or nothing comes out.
+    """
+    prepare_process()
+    context = Context()
+    rclpy.init(args=[], context=context)
+    try:
+        node = Node("replay_node", context=context)
+        try:
+            return play(node, options, config or PipelineConfig(), progress, check)
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def play(
+    node: Node,
+    options: ReplayOptions,
+    config: PipelineConfig,
+    progress: Callable[[int, int], None] = _nothing,
+    check: Callable[[], None] = _nothing,
+) -> ReplayResult:
+    """As :func:`replay`, with a node that is there already."""
+    with BagPairs(options.selection, config.pairing) as pairs:
+        with Recorder(options.output_path) as recorder:
+            recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
+            ports = GraphPorts(node, recorder, pairs.topics.compressed, options.clock)
+            approximate = config.pairing.approximate_sync
+            in_flight = max(options.in_flight, _APPROXIMATE_IN_FLIGHT) if approximate else options.in_flight
+            player = Player(ports, pairs, options, in_flight, check)
+            try:
+                player.play(progress)
+                ports.await_diagnostics(_DIAGNOSTICS_TIMEOUT_S)
+            finally:
+                ports.close()
+        result = ReplayResult(
+            bag=options.selection.path,
+            output=options.output_path,
+            pairs=player.sent,
+            unpaired_left=pairs.unpaired_left,
+            unpaired_right=pairs.unpaired_right,
+            outputs=player.stats,
+            wall_s=player.wall_s,
+            stages_ms=ports.stages_ms(),
+            realtime=options.realtime,
+            warnings=tuple(text for text in (pairs.warning, ports.complaints()) if text),
+        )
+    if options.output_path is None:
+        return result
+    topic = node.resolve_topic_name("disparity")
+    return dataclasses.replace(result, score=score_disparity(options.output_path, options.selection.path, topic))
+
+
+def main() -> int:
+    """Run the node: play, log what became of it, end.
+
+    Returns:
+        0 after playing or a signal, 1 where the bag cannot be played, 3 where outputs were lost.
+    """
+    prepare_process()
+    try:
+        rclpy.init()
+        node = Node("replay_node")
+        options = _declared(node, ReplayOptions)
+        result = play(node, options, PipelineConfig(pairing=_declared(node, PairingConfig)))
+        node.get_logger().info(_summary(result))
+        return 3 if result.lost and not result.realtime else 0
+    except StereoDepthError as error:
+        get_logger("stereo_depth_ros").fatal(str(error))
+        return 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    finally:
+        rclpy.try_shutdown()
+
+
+def _declared(node: Node, config: type[Any]) -> Any:
+    """The config with the values of the node's parameters."""
+    values = {}
+    for info in parameter_infos(config):
+        descriptor = ParameterDescriptor(description=info.doc, read_only=True, dynamic_typing=True)
+        values[info.field] = node.declare_parameter(info.name, info.default, descriptor).value
+    return config(**values)
+
+
+def _summary(result: ReplayResult) -> str:
+    outputs = ", ".join(f"{topic} {stats.received}" for topic, stats in result.outputs.items())
+    return (
+        f"{result.pairs} pairs of {result.bag} sent, {result.frames_per_second:.1f} pairs/s; received {outputs}; "
+        f"{result.lost} lost; recorded into {result.output or 'nothing'}"
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

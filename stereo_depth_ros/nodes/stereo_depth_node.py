@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The whole path in one process: raw pairs in; rectified images, disparity, depth and points out."""
+
+from __future__ import annotations
+
+import functools
+import time
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from stereo_msgs.msg import DisparityImage
+
+from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, PairingConfig, PipelineConfig
+from stereo_depth_ros.io.result_messages import ResultMessages
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.pipeline import StereoPipeline
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import StereoPair
+
+__all__ = ["StereoDepthNode", "main"]
+
+# Topic, type and builder of each output, in the order of publishing: what robots steer by goes first.
+_OUTPUTS = (
+    ("points2", PointCloud2, ResultMessages.cloud),
+    ("disparity", DisparityImage, ResultMessages.disparity),
+    ("depth/image_rect", Image, ResultMessages.depth),
+    ("depth/camera_info", CameraInfo, ResultMessages.depth_camera_info),
+    ("left/image_rect", Image, ResultMessages.left_rectified),
+    ("left/image_rect_color", Image, ResultMessages.left_rectified_color),
+    ("right/image_rect", Image, ResultMessages.right_rectified),
+)
+
+
+class StereoDepthNode(StereoNode):
+    """Subscribes {left,right}/{image_raw,camera_info}, publishes what is subscribed of all outputs."""
+
+    def __init__(self) -> None:
+        super().__init__("stereo_depth_node", MatchingConfig, DepthConfig, CloudConfig)
+        self.refuse_equal_topics("left/image_raw", "right/image_raw")
+        self._pipeline = functools.lru_cache(maxsize=1)(StereoPipeline)
+        self._messages = ResultMessages(self.types)
+        self._calibration = CalibrationInput(self)
+        self._made = [(self.add_output(kind, topic), topic, build) for topic, kind, build in _OUTPUTS]
+        pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
+        add_image_input(self, "left/image_raw", pairs.add_left)
+        add_image_input(self, "right/image_raw", pairs.add_right)
+
+    def _on_pair(self, left: Any, right: Any) -> None:
+        self._calibration.with_rig(lambda rig: self._process(left, right, rig))
+
+    def _process(self, left: Any, right: Any, rig: StereoRig) -> None:
+        pair = StereoPair(decode_from(self, "left/image_raw", left), decode_from(self, "right/image_raw", right))
+        result = self._pipeline(self._config(), rig).process(pair)
+        for output, topic, build in self._made:
+            if output.wanted:
+                start = time.perf_counter()
+                message = build(self._messages, result)
+                made = time.perf_counter()
+                output.publish(message)
+                sent = time.perf_counter()
+                result.timings_ms |= {f"make {topic}": 1e3 * (made - start), f"send {topic}": 1e3 * (sent - made)}
+        self.health.timing(result.timings_ms)
+
+    def _config(self) -> PipelineConfig:
+        get = self.parameters.get
+        return PipelineConfig(get(PairingConfig), get(MatchingConfig), get(DepthConfig), get(CloudConfig))
+
+
+def main() -> int:
+    """Run the node."""
+    return run(StereoDepthNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

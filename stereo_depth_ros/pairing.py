@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pairing of left and right messages by their stamps."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from stereo_depth_ros.config import PairingConfig
+
+__all__ = ["PairingCounts", "StereoPairing"]
+
+T = TypeVar("T")
+MAX_STEP_BACK_NS = 10**9
+
+
+@dataclass(frozen=True)
+class PairingCounts:
+    """What became of the messages so far.
+
+    Attributes:
+        paired: pairs released.
+        dropped_left, dropped_right: messages without a partner.
+        duplicates: messages of either eye with the stamp of one that waits, or of the last one released.
+        backwards: times that the clock was set back and both queues were cleared.
+    """
+
+    paired: int = 0
+    dropped_left: int = 0
+    dropped_right: int = 0
+    duplicates: int = 0
+    backwards: int = 0
+
+
+class StereoPairing(Generic[T]):
+    """Brings together the left and right items whose stamps belong together.
+
+    Pairs come in the order of their stamps and each item is in one pair at most. Of the oldest waiting items of the
+    two eyes, the earlier is paired with the later one unless their difference exceeds the tolerance, or the next item
+    of the earlier eye is closer. That next item is awaited only where it could be closer: none is expected sooner than
+    the shortest interval the eye has had, so a difference of up to half of it is paired at once. As nothing but stamps
+    decides, the same stamps give the same pairs however the two eyes interleave, within the size of the queues.
+
+    An item is dropped as soon as it has lost: the other eye is past its stamp plus the tolerance, a later item of its
+    own eye is closer or has been released, or its queue is full. A late item is paired while its place is still open.
+    A stamp more than 1 s before the newest of its eye, or more than ``queue_size`` late ones in a row, mean that the
+    clock was set back, as when a bag is looped: both queues are cleared. Not for concurrent use.
+
+    Args:
+        config: queue size and tolerance.
+    """
+
+    def __init__(self, config: PairingConfig) -> None:
+        self._tolerance_ns = config.tolerance_ns
+        self._queue_size = config.queue_size
+        self._left: _Eye[T] = _Eye()
+        self._right: _Eye[T] = _Eye()
+        self._paired = 0
+        self._backwards = 0
+
+    def add_left(self, stamp_ns: int, item: T) -> list[tuple[T, T]]:
+        """Takes a left item; returns the (left, right) pairs that are complete now, in order."""
+        return self._add(self._left, stamp_ns, item)
+
+    def add_right(self, stamp_ns: int, item: T) -> list[tuple[T, T]]:
+        """Takes a right item; returns the (left, right) pairs that are complete now, in order."""
+        return self._add(self._right, stamp_ns, item)
+
+    def flush(self) -> list[tuple[T, T]]:
+        """The pairs that awaited a closer item, at the end of the streams; what stays alone is dropped."""
+        pairs = self._release(final=True)
+        self._clear()
+        return pairs
+
+    @property
+    def counts(self) -> PairingCounts:
+        """What became of the items so far; those of both eyes are 2 paired + dropped + duplicates + pending."""
+        duplicates = self._left.duplicates + self._right.duplicates
+        return PairingCounts(self._paired, self._left.dropped, self._right.dropped, duplicates, self._backwards)
+
+    @property
+    def pending_left(self) -> int:
+        """Number of left items that wait."""
+        return len(self._left.queue)
+
+    @property
+    def pending_right(self) -> int:
+        """Number of right items that wait."""
+        return len(self._right.queue)
+
+    def _add(self, eye: _Eye[T], stamp_ns: int, item: T) -> list[tuple[T, T]]:
+        if eye.is_set_back(stamp_ns, self._queue_size):
+            self._backwards += 1
+            self._clear()
+        eye.insert(stamp_ns, item)
+        pairs = self._release()
+        if len(eye.queue) > self._queue_size:
+            pairs += self._release(final=True)
+        while len(eye.queue) > self._queue_size:
+            eye.drop_oldest()
+        return pairs
+
+    def _release(self, final: bool = False) -> list[tuple[T, T]]:
+        """Pairs and drops from the oldest items on, up to one that later items may change; to the end when final."""
+        pairs = []
+        while self._left.queue and self._right.queue:
+            earlier, later = sorted((self._left, self._right), key=lambda eye: eye.queue[0].stamp_ns)
+            stays_alone = self._stays_alone(earlier, later.queue[0].stamp_ns)
+            if stays_alone is None and not final:
+                break
+            if stays_alone:
+                earlier.drop_oldest()
+            else:
+                pairs.append((self._left.take_oldest(), self._right.take_oldest()))
+        self._paired += len(pairs)
+        return pairs
+
+    def _stays_alone(self, eye: _Eye[T], partner_ns: int) -> bool | None:
+        """Whether the oldest item of ``eye``, not after ``partner_ns``, stays without it; None while that is open."""
+        oldest = eye.queue[0]
+        difference_ns = partner_ns - oldest.stamp_ns
+        if self._tolerance_ns is not None and difference_ns > self._tolerance_ns:
+            return True
+        if 2 * difference_ns <= oldest.shortest_interval_ns:
+            return False
+        if len(eye.queue) == 1:
+            return None
+        return abs(eye.queue[1].stamp_ns - partner_ns) < difference_ns
+
+    def _clear(self) -> None:
+        self._left.start_anew()
+        self._right.start_anew()
+
+
+@dataclass(frozen=True)
+class _Waiting(Generic[T]):
+    stamp_ns: int
+    item: T
+    shortest_interval_ns: int  # of its eye, up to this stamp; 0 while there is none
+
+
+class _Eye(Generic[T]):
+    """The items of one eye that wait, by stamp, and what is known of its clock."""
+
+    def __init__(self) -> None:
+        self.queue: list[_Waiting[T]] = []
+        self.dropped = 0
+        self.duplicates = 0
+        self.start_anew()
+
+    def start_anew(self) -> None:
+        """Drops all that waits and forgets the clock."""
+        self.dropped += len(self.queue)
+        self.queue.clear()
+        self._newest_ns: int | None = None
+        self._released_ns: int | None = None  # newest stamp that left the queue
+        self._shortest_interval_ns = 0
+        self._late_in_a_row = 0
+
+    def is_set_back(self, stamp_ns: int, queue_size: int) -> bool:
+        """Whether a stamp is too old to be just late."""
+        far_back = self._newest_ns is not None and self._newest_ns - stamp_ns > MAX_STEP_BACK_NS
+        return far_back or (self._is_too_late(stamp_ns) and self._late_in_a_row >= queue_size)
+
+    def insert(self, stamp_ns: int, item: T) -> None:
+        """Queues an item by its stamp, or counts why not."""
+        at = bisect_left([waiting.stamp_ns for waiting in self.queue], stamp_ns)
+        if stamp_ns == self._released_ns or (at < len(self.queue) and self.queue[at].stamp_ns == stamp_ns):
+            self.duplicates += 1
+        elif self._is_too_late(stamp_ns):
+            self.dropped += 1
+            self._late_in_a_row += 1
+        else:
+            self._observe_clock(stamp_ns)
+            self.queue.insert(at, _Waiting(stamp_ns, item, self._shortest_interval_ns))
+
+    def take_oldest(self) -> T:
+        """Removes the oldest item for a pair."""
+        waiting = self.queue.pop(0)
+        self._released_ns = waiting.stamp_ns
+        return waiting.item
+
+    def drop_oldest(self) -> None:
+        """Removes the oldest item, which stays alone."""
+        self.take_oldest()
+        self.dropped += 1
+
+    def _is_too_late(self, stamp_ns: int) -> bool:
+        return self._released_ns is not None and stamp_ns < self._released_ns
+
+    def _observe_clock(self, stamp_ns: int) -> None:
+        self._late_in_a_row = 0
+        if self._newest_ns is None:
+            self._newest_ns = stamp_ns
+        elif stamp_ns > self._newest_ns:
+            interval_ns = stamp_ns - self._newest_ns
+            self._shortest_interval_ns = min(interval_ns, self._shortest_interval_ns or interval_ns)
+            self._newest_ns = stamp_ns

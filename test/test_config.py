@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: defaults of the contract, and every check that refuses a value."""
+
+from __future__ import annotations
+
+import pytest
+
+from stereo_depth_ros.config import (
+    STAGE_CONFIGS,
+    CloudConfig,
+    DepthConfig,
+    MatchingConfig,
+    PairingConfig,
+    parameter_infos,
+    replace_checked,
+)
+from stereo_depth_ros.errors import ConfigError
+
+# Name, default, low, high, step: as stereo_image_proc of Jazzy declares them (stereo_algorithm and the like included).
+CONTRACT = {
+    "stereo_algorithm": (0, 0, 1, None),
+    "prefilter_size": (9, 5, 255, 2),
+    "prefilter_cap": (31, 1, 63, None),
+    "correlation_window_size": (15, 5, 255, 2),
+    "min_disparity": (0, -2048, 2048, None),
+    "disparity_range": (64, 32, 4096, 16),
+    "texture_threshold": (10, 0, 10000, None),
+    "speckle_size": (100, 0, 1000, None),
+    "speckle_range": (4, 0, 31, None),
+    "disp12_max_diff": (0, 0, 128, None),
+    "sgbm_mode": (0, 0, 3, None),
+    "uniqueness_ratio": (15.0, 0.0, 100.0, None),
+    "P1": (200.0, 0.0, 4000.0, None),
+    "P2": (400.0, 0.0, 4000.0, None),
+}
+
+
+def test_matcher_parameters_are_those_of_the_contract() -> None:
+    ours = {i.name: (i.default, i.low, i.high, i.step) for i in parameter_infos(MatchingConfig)}
+    assert ours == CONTRACT
+    assert {n: type(v[0]) for n, v in ours.items()} == {n: type(v[0]) for n, v in CONTRACT.items()}
+
+
+def test_other_parameters_of_the_contract() -> None:
+    defaults = {i.name: i.default for config in (PairingConfig, CloudConfig) for i in parameter_infos(config)}
+    assert defaults == {
+        "queue_size": 5,
+        "approximate_sync": False,
+        "approximate_sync_tolerance_seconds": 0.0,
+        "image_transport": "raw",
+        "avoid_point_cloud_padding": False,
+        "use_color": True,
+    }
+
+
+def test_names_are_unique_over_all_stages_and_every_one_is_explained() -> None:
+    infos = [info for config in STAGE_CONFIGS for info in parameter_infos(config)]
+    assert len({info.name for info in infos}) == len(infos)
+    assert all(info.doc.endswith(".") for info in infos)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"disparity_range": 70}, r"disparity_range = 70 is not 32 plus a multiple of 16: take 64 or 80"),
+        ({"disparity_range": 16}, r"disparity_range = 16 is outside 32\.\.4096"),
+        ({"correlation_window_size": 14}, r"correlation_window_size = 14 .* take 13 or 15"),
+        ({"uniqueness_ratio": float("nan")}, r"uniqueness_ratio = nan"),
+        ({"P1": "200"}, r"P1 = '200' is str, it takes float"),
+        ({"stereo_algorithm": True}, r"stereo_algorithm = True is bool, it takes int"),
+        ({"disparity_rage": 64}, r"unknown parameter 'disparity_rage': known are stereo_algorithm"),
+        ({"stereo_algorithm": 1, "P1": 500.0}, r"P2 = 400 is not above P1 = 500: raise P2 or lower P1"),
+    ],
+)
+def test_refused_values_name_value_limit_and_remedy(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace_checked(MatchingConfig(), changes)
+
+
+def test_choices_are_refused_by_name() -> None:
+    with pytest.raises(ConfigError, match=r"depth_encoding = '8UC1' is none of 32FC1, 16UC1"):
+        DepthConfig(depth_encoding="8UC1")
+
+
+def test_whole_numbers_serve_as_floats_and_both_names_are_keys() -> None:
+    config = replace_checked(MatchingConfig(), {"P1": 8, "disparity_range": 96})
+    assert (config.P1, type(config.P1), config.num_disparities) == (8.0, float, 96)
+    assert replace_checked(config, {"num_disparities": 48, "min_disparity": -16}).max_disparity == 31
+
+
+@pytest.mark.parametrize(
+    ("config", "tolerance_ns"),
+    [
+        (PairingConfig(), 0),
+        (PairingConfig(approximate_sync_tolerance_seconds=0.5), 0),
+        (PairingConfig(approximate_sync=True), None),
+        (PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=0.002), 2_000_000),
+    ],
+)
+def test_tolerance_of_pairing(config: PairingConfig, tolerance_ns: int | None) -> None:
+    assert config.tolerance_ns == tolerance_ns

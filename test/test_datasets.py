@@ -1,0 +1,419 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Datasets: layouts, calibrations, scales of the truth, and the bags made of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo_depth_ros.errors import BagError, CalibrationError, ConfigError
+from stereo_depth_ros.io.bag_info import inspect_bag
+from stereo_depth_ros.io.bag_reader import BagReader
+from stereo_depth_ros.io.calibration_yaml import write_camera
+from stereo_depth_ros.io.datasets import StereoDataset, read_image, read_picture
+from stereo_depth_ros.io.datasets.euroc import EurocDataset
+from stereo_depth_ros.io.datasets.images import ImagesDataset
+from stereo_depth_ros.io.datasets.kitti import KittiDataset, read_calibration, rig_from_calibration
+from stereo_depth_ros.io.datasets.middlebury import MiddleburyDataset
+from stereo_depth_ros.io.datasets.to_bag import convert_dataset
+from stereo_depth_ros.io.disparity_message import published_disparity
+from stereo_depth_ros.io.image_message import decode
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import F32
+
+WIDTH, HEIGHT = 44, 30
+
+
+def picture(path: Path, size: tuple[int, int] = (WIDTH, HEIGHT), value: int = 7) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shape = (size[1], size[0], 3) if path.suffix == ".ppm" else (size[1], size[0])  # .ppm is always colour
+    assert cv2.imwrite(str(path), np.full(shape, value, np.uint8))
+
+
+def truth_of(dataset: StereoDataset) -> F32:
+    truth = next(iter(dataset)).truth_disparity_px
+    assert truth is not None and truth.dtype == np.float32
+    return truth
+
+
+def make_2014(folder: Path, truth: F32 | None = None) -> Path:
+    picture(folder / "im0.png", value=1)
+    picture(folder / "im1.png", value=2)
+    if truth is not None:
+        cv2.imwrite(str(folder / "disp0.pfm"), truth)
+    (folder / "calib.txt").write_text(
+        "cam0=[50.5 0 20.25; 0 51.5 14; 0 0 1]\ncam1=[50.5 0 23.5; 0 51.5 14; 0 0 1]\n"
+        f"doffs=3.25\nbaseline=193.001\nwidth={WIDTH}\nheight={HEIGHT}\nndisp=64\n"
+    )
+    return folder
+
+
+def test_middlebury_2014(tmp_path: Path) -> None:
+    stored = np.arange(WIDTH * HEIGHT, dtype=np.float32).reshape(HEIGHT, WIDTH) / 8
+    stored[3, 5] = np.inf
+    dataset = MiddleburyDataset(make_2014(tmp_path, stored))
+    rig = dataset.rig
+    assert (rig.f_px, rig.fy_px, rig.cx_left, rig.cy) == (50.5, 51.5, 20.25, 14)
+    # Middlebury: Z = f B / (d + doffs); ours: Z = f B / (d - doffs_px)
+    assert (rig.baseline_m, rig.doffs_px) == pytest.approx((0.193001, -3.25))
+    (frame,) = dataset
+    assert len(dataset) == 1 and not dataset.has_stamps
+    assert (frame.left.pixels[0, 0], frame.right.pixels[0, 0], frame.left.encoding) == (1, 2, "mono8")
+    truth = truth_of(dataset)
+    assert np.isnan(truth[3, 5])
+    stored[3, 5] = np.nan
+    np.testing.assert_array_equal(truth, stored)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "truth", "width", "level", "disparity_px"),
+    [
+        ("view1.png", "view5.png", "disp1.png", 463, 90, 30.0),  # 2005 and 2006: third size
+        ("view1.png", "view5.png", "disp1.png", 695, 90, 45.0),
+        ("view1.png", "view5.png", "disp1.png", 1390, 90, 90.0),
+        ("im2.png", "im6.png", "disp2.png", 450, 90, 22.5),  # 2003: quarter size
+        ("im2.png", "im6.png", "disp2.png", 900, 90, 45.0),
+        ("im2.ppm", "im6.ppm", "disp2.pgm", 434, 90, 11.25),  # 2001
+        ("scene1.row3.col3.ppm", "scene1.row3.col4.ppm", "truedisp.row3.col3.pgm", 384, 96, 6.0),
+        ("scene1.row3.col3.ppm", "scene1.row3.col5.ppm", "truedisp.row3.col3.pgm", 384, 96, 12.0),
+    ],
+)
+def test_middlebury_truth_is_scaled_by_year_and_size(
+    tmp_path: Path, left: str, right: str, truth: str, width: int, level: int, disparity_px: float
+) -> None:
+    for name, value in ((left, 1), (right, 2), (truth, level)):
+        picture(tmp_path / name, (width, 8), value)
+    unknown = read_picture(tmp_path / truth)
+    unknown[2, 3] = 0
+    cv2.imwrite(str(tmp_path / truth), unknown)
+    found = truth_of(MiddleburyDataset(tmp_path, focal_px=300.0, baseline_m=0.1))
+    assert found[5, 7] == disparity_px and np.isnan(found[2, 3])
+    assert np.isnan(found).sum() == 1
+
+
+def test_middlebury_2005_has_published_numbers(tmp_path: Path) -> None:
+    for name in ("view1.png", "view5.png", "disp1.png"):
+        picture(tmp_path / name, (463, 8))
+    with pytest.raises(BagError, match=r"neither calib\.txt nor dmin\.txt.*--focal-px and --baseline-m"):
+        MiddleburyDataset(tmp_path)
+    assert MiddleburyDataset(tmp_path, doffs=12.5).rig.doffs_px == pytest.approx(-12.5)
+    (tmp_path / "dmin.txt").write_text("200\n")
+    rig = MiddleburyDataset(tmp_path).rig
+    assert (rig.f_px, rig.baseline_m, rig.doffs_px) == pytest.approx((3740 / 3, 0.160, -200 / 3))
+    assert (rig.cx_left, rig.cy) == (231.0, 3.5)
+    (tmp_path / "dmin.txt").write_text("many")
+    with pytest.raises(BagError, match=r"dmin\.txt does not hold one number"):
+        MiddleburyDataset(tmp_path)
+
+
+def test_middlebury_without_a_calibration(tmp_path: Path) -> None:
+    for name in ("im2.png", "im6.png"):
+        picture(tmp_path / name)
+    with pytest.raises(BagError, match="is not a Middlebury scene"):
+        MiddleburyDataset(tmp_path)
+    picture(tmp_path / "disp2.png")
+    with pytest.raises(BagError, match=r"no calib\.txt: .*--focal-px and --baseline-m \(and --doffs"):
+        MiddleburyDataset(tmp_path)
+    elsewhere = make_2014(tmp_path / "other") / "calib.txt"
+    assert MiddleburyDataset(tmp_path, calibration_file=elsewhere).rig.cx_left == 20.25
+
+
+def test_middlebury_files_that_are_broken(tmp_path: Path) -> None:
+    make_2014(tmp_path)
+    (tmp_path / "calib.txt").write_text("cam0=[1 2 3]\n")
+    with pytest.raises(BagError, match=r"calib\.txt is not a Middlebury calibration"):
+        MiddleburyDataset(tmp_path)
+    make_2014(tmp_path)
+    picture(tmp_path / "im1.png", (WIDTH - 1, HEIGHT))
+    with pytest.raises(CalibrationError, match=rf"im1\.png: the image is {WIDTH - 1}x{HEIGHT}"):
+        MiddleburyDataset(tmp_path)
+    (tmp_path / "im1.png").write_bytes(b"no picture")
+    with pytest.raises(BagError, match=r"im1\.png is not a readable image"):
+        MiddleburyDataset(tmp_path)
+
+
+def test_pictures_that_are_not_there_or_have_colour(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"gone\.png is not a readable image"):
+        read_image(tmp_path / "gone.png")
+    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((4, 5, 3), np.uint8))
+    with pytest.raises(BagError, match=r"colour\.png has 3 channels"):
+        read_picture(tmp_path / "colour.png")
+
+
+P0 = "50.5 0 20.25 0 0 51.5 14 0 0 0 1 0"
+P1 = "50.5 0 20.25 -27.27 0 51.5 14 0 0 0 1 0"
+
+
+def make_kitti(folder: Path, left: str = "image_0", right: str = "image_1", names: int = 3) -> Path:
+    for index in range(names):
+        picture(folder / left / f"{index:06d}.png", value=10 + index)
+        picture(folder / right / f"{index:06d}.png", value=20 + index)
+    (folder / "calib.txt").write_text(f"P0: {P0}\nP1: {P1}\n")
+    return folder
+
+
+def test_kitti_odometry(tmp_path: Path) -> None:
+    folder = make_kitti(tmp_path)
+    (folder / "image_0" / "000009.png").write_bytes(b"")  # has no right one
+    dataset = KittiDataset(folder)
+    assert (dataset.rig.f_px, dataset.rig.fy_px) == (50.5, 51.5)
+    assert dataset.rig.baseline_m == pytest.approx(27.27 / 50.5)
+    frames = list(dataset)
+    assert len(dataset) == len(frames) == 3 and dataset.left_out == 0
+    assert [f.left.stamp_ns for f in frames] == [1_000_000_000, 1_100_000_000, 1_200_000_000]
+    assert [(f.left.pixels[0, 0], f.right.pixels[0, 0]) for f in frames] == [(10, 20), (11, 21), (12, 22)]
+    assert frames[0].truth_disparity_px is None
+
+
+def test_kitti_times(tmp_path: Path) -> None:
+    folder = make_kitti(tmp_path / "a")
+    (folder / "times.txt").write_text("0.000000e+00\n1.036224e-01\n2.072e-01\n")
+    assert [f.left.stamp_ns for f in KittiDataset(folder)] == [1_000_000_000, 1_103_622_400, 1_207_200_000]
+    (folder / "times.txt").write_text("0\n")
+    with pytest.raises(BagError, match=r"times\.txt has 1 times for 3 pairs"):
+        KittiDataset(folder)
+    (folder / "times.txt").write_text("now\n")
+    with pytest.raises(BagError, match=r"times\.txt is not a list of times"):
+        KittiDataset(folder)
+    raw = make_kitti(tmp_path / "b", "image_00/data", "image_01/data", names=1)
+    (raw / "image_00" / "timestamps.txt").write_text("2011-09-26 13:02:25.964389445\n")
+    assert [f.left.stamp_ns for f in KittiDataset(raw)] == [1_317_042_145_964_389_445]
+
+
+def test_kitti_stereo_benchmark_has_a_calibration_a_pair_and_a_truth(tmp_path: Path) -> None:
+    for name in ("000000_10.png", "000001_10.png", "000002_10.png"):
+        picture(tmp_path / "image_2" / name)
+        picture(tmp_path / "image_3" / name)
+    rows = "P_rect_02: 50.5 0 20 2.02 0 51.5 14 0.2 0 0 1 0.002\nP_rect_03: 50.5 0 20 -18.18 0 51.5 14 2 0 0 1 0.003\n"
+    (tmp_path / "calib_cam_to_cam").mkdir()
+    for index, text in enumerate((rows, rows.replace("50.5", "60.5"), rows)):
+        (tmp_path / "calib_cam_to_cam" / f"{index:06d}.txt").write_text(text)
+    (tmp_path / "disp_occ_0").mkdir()
+    levels = np.full((HEIGHT, WIDTH), 1000, np.uint16)
+    levels[4, 6] = 0
+    cv2.imwrite(str(tmp_path / "disp_occ_0" / "000000_10.png"), levels)
+    dataset = KittiDataset(tmp_path)
+    assert (len(dataset), dataset.left_out) == (2, 1)
+    assert dataset.rig.baseline_m == pytest.approx((18.18 + 2.02) / 50.5)
+    truth = truth_of(dataset)
+    assert truth[5, 6] == 1000 / 256 and np.isnan(truth[4, 6])
+    cv2.imwrite(str(tmp_path / "disp_occ_0" / "000000_10.png"), levels.astype(np.uint8))
+    with pytest.raises(BagError, match=r"000000_10\.png is uint8, KITTI's disparities are uint16"):
+        next(iter(dataset))
+
+
+def test_kitti_folders_that_lack_something(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="is not a KITTI folder"):
+        KittiDataset(tmp_path)
+    folder = make_kitti(tmp_path / "a")
+    (folder / "calib.txt").write_text("P0: one two\n")
+    with pytest.raises(BagError, match=r"calib\.txt is not a KITTI calibration, row 'P0: one two'"):
+        KittiDataset(folder)
+    (folder / "calib.txt").write_text(f"P0: {P0}\n")
+    with pytest.raises(BagError, match="the KITTI calibration has no P_rect_01: it has P0"):
+        KittiDataset(folder)
+    (folder / "calib.txt").unlink()
+    with pytest.raises(BagError, match="no calibration for "):
+        KittiDataset(folder)
+
+
+SENSOR = """%YAML:1.0
+sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [1.0, 0.0, 0.0, {x}, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+resolution: [44, 30]
+intrinsics: [50.5, 51.5, 20.25, 14.0]
+distortion_model: {model}
+distortion_coefficients: [-0.02, 0.01, 0.0, 0.0]
+"""
+
+
+def make_euroc(folder: Path, model: str = "radial-tangential") -> Path:
+    for camera, x, stamps in (("cam0", 0.01, (20, 10, 30, 50)), ("cam1", 0.21, (10, 30, 40, 50))):
+        root = folder / "mav0" / camera
+        for stamp in stamps[:3]:  # the last row has no image
+            picture(root / "data" / f"{stamp}.png", value=stamp)
+        rows = "".join(f"{stamp},{stamp}.png\r\n" for stamp in stamps)
+        (root / "data.csv").write_text("#timestamp [ns],filename\r\n" + rows)
+        (root / "sensor.yaml").write_text(SENSOR.format(x=x, model=model))
+    return folder
+
+
+def test_euroc(tmp_path: Path) -> None:
+    folder = make_euroc(tmp_path)
+    for place in (folder, folder / "mav0"):
+        dataset = EurocDataset(place)
+        assert [(f.left.stamp_ns, f.right.stamp_ns) for f in dataset] == [(10, 10), (30, 30)]
+        assert (len(dataset), dataset.left_out) == (2, 2)
+    # T_body_right is 0.2 m to the right of T_body_left along the common x axis
+    assert dataset.rig.baseline_m == pytest.approx(0.2)
+    np.testing.assert_allclose(dataset.rig.left.D, [-0.02, 0.01, 0, 0])
+    assert dataset.rig.left.K[0, 2] == 20.25
+
+
+def test_euroc_folders_that_lack_something(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"is not an EuRoC sequence: no mav0/cam0/data\.csv, mav0/cam1/data\.csv"):
+        EurocDataset(tmp_path)
+    with pytest.raises(BagError, match="distortion_model 'fisheye' is not read"):
+        EurocDataset(make_euroc(tmp_path / "a", "fisheye"))
+    folder = make_euroc(tmp_path / "b")
+    (folder / "mav0" / "cam1" / "sensor.yaml").write_text("intrinsics: [1, 2]\n")
+    with pytest.raises(BagError, match=r"cam1/sensor\.yaml is not an EuRoC camera"):
+        EurocDataset(folder)
+    (folder / "mav0" / "cam1" / "data.csv").write_text("21,40.png\n")
+    with pytest.raises(BagError, match="none of 3 left and 1 right images have equal stamps"):
+        EurocDataset(folder)
+    (folder / "mav0" / "cam1" / "data.csv").write_text("soon,40.png\n")
+    with pytest.raises(BagError, match=r"cam1/data\.csv is not rows of stamp and file name"):
+        EurocDataset(folder)
+
+
+@pytest.mark.parametrize("pattern", ["{eye}/{index}.png", "{eye}{index}.png"])
+def test_images(tmp_path: Path, pattern: str) -> None:
+    rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
+    for index in range(2):
+        picture(tmp_path / pattern.format(eye="left", index=index), value=index)
+        picture(tmp_path / pattern.format(eye="right", index=index), value=index + 5)
+    with pytest.raises(BagError, match=r"no calibration .*left\.yaml, .*right\.yaml"):
+        ImagesDataset(tmp_path)
+    write_camera(tmp_path / "left.yaml", rig.left, "left")
+    write_camera(tmp_path / "other.yaml", rig.right, "right")
+    dataset = ImagesDataset(tmp_path, right_yaml=tmp_path / "other.yaml")
+    assert dataset.rig.doffs_px == pytest.approx(-3.25)
+    assert [(f.left.pixels[0, 0], f.right.pixels[0, 0]) for f in dataset] == [(0, 5), (1, 6)]
+    assert len(dataset) == 2 and dataset.rig.frame_id == "left_optical_frame"
+    picture(tmp_path / pattern.format(eye="right", index=9))
+    with pytest.raises(BagError, match="has 2 left and 3 right images"):
+        ImagesDataset(tmp_path)
+
+
+def test_a_dataset_becomes_a_bag(tmp_path: Path) -> None:
+    truth = np.full((HEIGHT, WIDTH), 4.5, np.float32)
+    truth[2, 3], truth[4, 5] = np.inf, 9.25
+    dataset = MiddleburyDataset(make_2014(tmp_path / "scene", truth))
+    seen: list[tuple[int, int]] = []
+    assert convert_dataset(dataset, tmp_path / "out.mcap", progress=lambda *done: seen.append(done)) == 1
+    assert seen == [(1, 1)]
+    with BagReader(tmp_path / "out.mcap") as reader:
+        messages = {m.topic: reader.deserialize(m) for m in reader.messages()}
+    assert sorted(messages) == [
+        "/left/camera_info",
+        "/left/image_raw",
+        "/right/camera_info",
+        "/right/image_raw",
+        "/truth/disparity",
+    ]
+    assert {m.header.stamp.sec for m in messages.values()} == {1}
+    assert decode(messages["/right/image_raw"]).pixels[0, 0] == 2
+    rig = StereoRig.from_infos(messages["/left/camera_info"], messages["/right/camera_info"])
+    np.testing.assert_allclose(rig.Q, dataset.rig.Q)
+    disparity = messages["/truth/disparity"]
+    published = published_disparity(disparity)
+    assert np.isnan(published[2, 3])
+    # published is d + doffs of Middlebury's formula: Z = f T / published
+    assert (published[0, 0], published[4, 5]) == (4.5 + 3.25, 9.25 + 3.25)
+    assert (disparity.min_disparity, disparity.max_disparity) == (4 + 3.25, 10 + 3.25)
+
+
+def test_pairs_without_times_are_counted_at_the_rate(tmp_path: Path) -> None:
+    rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
+    for eye, camera in (("left", rig.left), ("right", rig.right)):
+        write_camera(tmp_path / f"{eye}.yaml", camera, eye)
+        for index in range(3):
+            picture(tmp_path / eye / f"{index}.png")
+    dataset = ImagesDataset(tmp_path)
+    convert_dataset(dataset, tmp_path / "out.mcap", rate_hz=4.0)
+    with BagReader(tmp_path / "out.mcap") as reader:
+        stamps = [m.log_time_ns for m in reader.messages(["/right/image_raw"])]
+    assert stamps == [1_000_000_000, 1_250_000_000, 1_500_000_000]
+    for rate_hz in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match=r"rate_hz = .* is not above 0"):
+            convert_dataset(dataset, tmp_path / "other.mcap", rate_hz=rate_hz)
+    with pytest.raises(BagError, match=r"out\.mcap exists"):
+        convert_dataset(dataset, tmp_path / "out.mcap")
+
+
+# The expected numbers below are those that the datasets publish.
+
+
+@pytest.mark.real_data
+def test_real_middlebury_and_eth3d(stereo_data: Path) -> None:
+    terrace = MiddleburyDataset(stereo_data / "eth3d" / "terrace")
+    assert (terrace.rig.f_px, terrace.rig.baseline_m, terrace.rig.doffs_px) == pytest.approx((711.499, 0.0599432, 0))
+    assert np.isfinite(truth_of(terrace)).mean() == pytest.approx(0.53, abs=0.05)  # a laser scan: about half
+    art = MiddleburyDataset(stereo_data / "middlebury2005" / "Art")
+    dmin = float((stereo_data / "middlebury2005" / "Art" / "dmin.txt").read_text())
+    assert art.rig.f_px == pytest.approx(1246.67, abs=0.01) and art.rig.doffs_px == pytest.approx(-dmin / 3)
+    folder = stereo_data / "middlebury2014" / "Motorcycle_quarter"
+    motorcycle = MiddleburyDataset(folder, focal_px=994.978, baseline_m=0.193001, doffs=31.086)
+    truth = truth_of(motorcycle)
+    assert truth.shape == (500, 741) and not np.isinf(truth).any()
+    depth_m = 994.978 * 0.193001 / (truth + 31.086)
+    assert 2 < np.nanmin(depth_m) < np.nanmax(depth_m) < 6  # the scene is a garage
+    with pytest.raises(BagError, match=r"no calib\.txt"):
+        MiddleburyDataset(folder)
+
+
+@pytest.mark.real_data
+def test_real_truth_explains_the_images(stereo_data: Path) -> None:
+    for name in ("middlebury2003/cones", "middlebury2001/venus", "middlebury2001/tsukuba"):
+        dataset = MiddleburyDataset(stereo_data / name, focal_px=500.0, baseline_m=0.1)
+        (frame,) = dataset
+        truth = truth_of(dataset)
+        errors = [
+            warp_error(frame.left.pixels, frame.right.pixels, truth * np.float32(scale)) for scale in (1, 0.8, 1.2)
+        ]
+        assert errors[0] < 0.7 * min(errors[1:])
+
+
+def warp_error(left: np.ndarray, right: np.ndarray, disparity_px: F32) -> float:
+    """Mean absolute difference of the left image to the right one taken at x - d."""
+    y, x = np.indices(disparity_px.shape, np.float32)
+    warped = cv2.remap(right, x - disparity_px, y, cv2.INTER_LINEAR)
+    known = np.isfinite(disparity_px) & (x > disparity_px)
+    return float(np.mean(cv2.absdiff(left, warped)[known]))
+
+
+@pytest.mark.real_data
+def test_real_kitti(stereo_data: Path, tmp_path: Path) -> None:
+    dataset = KittiDataset(stereo_data / "kitti_odometry" / "seqA_1226x370")
+    assert (dataset.rig.f_px, dataset.rig.baseline_m) == pytest.approx((707.0912, 0.5372), abs=1e-4)
+    assert convert_dataset(dataset, tmp_path / "kitti.mcap") == 21
+    info = inspect_bag(tmp_path / "kitti.mcap")
+    assert info.usable and info.exact_pairs == 21
+    assert info.topics["/left/image_raw"].rate_hz == pytest.approx(10.0)
+
+
+@pytest.mark.real_data
+def test_real_kitti_raw_calibration(stereo_data: Path) -> None:
+    path = stereo_data / "kitti_stereo" / "calib_only_kimera" / "calib_cam_to_cam.txt"
+    values = read_calibration(path)
+    assert "calib_time" not in values and values["corner_dist"] == pytest.approx(0.0995)
+    rectified = rig_from_calibration(values, (0, 1), (1242, 375))
+    assert (rectified.f_px, rectified.cx_left, rectified.cy) == (721.5377, 609.5593, 172.854)
+    assert rectified.baseline_m == pytest.approx(387.5744 / 721.5377)
+    assert not rectified.left.D.any()
+    colour = rig_from_calibration(values, (2, 3), (1242, 375))
+    assert colour.baseline_m == pytest.approx((339.5242 + 44.85728) / 721.5377)
+    raw = rig_from_calibration(values, (0, 1), (1392, 512))
+    assert raw.left.K[0, 0] == 984.2439 and raw.right.D[0] == -0.3644661
+    assert raw.baseline_m == pytest.approx(rectified.baseline_m)
+    # the rotation of the two rectified cameras is that of the extrinsics: R_rect_01 R_01 = R_rect_00
+    np.testing.assert_allclose(raw.right.R @ values["R_01"].reshape(3, 3), raw.left.R, atol=1e-5)
+
+
+@pytest.mark.real_data
+def test_real_euroc(stereo_data: Path, tmp_path: Path) -> None:
+    dataset = EurocDataset(stereo_data / "euroc" / "V1_01_micro")
+    assert dataset.rig.baseline_m == pytest.approx(0.1101, abs=1e-4)
+    assert dataset.rig.left.K[0, 0] == 458.654 and dataset.rig.right.D[1] == 0.07451284
+    assert convert_dataset(dataset, tmp_path / "euroc.mcap") == 24
+    info = inspect_bag(tmp_path / "euroc.mcap")
+    assert info.usable and info.exact_pairs == 24
+    assert info.duration_s == pytest.approx(23 * 0.05, abs=1e-6)

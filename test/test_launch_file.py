@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The launch file names executables and parameters that exist; ``launch`` itself is replaced by recorders."""
+
+from __future__ import annotations
+
+import dataclasses
+import runpy
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+import setuptools
+
+from stereo_depth_ros.config import MatchingConfig, PipelineConfig, parameter_infos
+
+ROOT = Path(__file__).resolve().parents[1]
+
+LAUNCH_NAMES = {
+    "launch": ["LaunchDescription"],
+    "launch.actions": ["DeclareLaunchArgument", "GroupAction", "LogInfo"],
+    "launch.conditions": ["IfCondition", "UnlessCondition"],
+    "launch.substitutions": ["LaunchConfiguration", "PythonExpression"],
+    "launch_ros": [],
+    "launch_ros.actions": ["Node"],
+    "launch_ros.parameter_descriptions": ["ParameterValue"],
+}
+
+
+class Recorder:
+    """Stands for any class of ``launch``: keeps what it was made of."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self.args, self.kwargs = args, kwargs
+
+
+def recorders() -> dict[str, types.ModuleType]:
+    modules = {}
+    for name, classes in LAUNCH_NAMES.items():
+        modules[name] = types.ModuleType(name)
+        for class_name in classes:
+            setattr(modules[name], class_name, type(class_name, (Recorder,), {}))
+    return modules
+
+
+@pytest.fixture
+def entities(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """All actions of the launch description, those of groups included."""
+    for name, module in recorders().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    description = runpy.run_path(str(ROOT / "launch" / "stereo_depth.launch.py"))["generate_launch_description"]()
+    pending, found = list(description.args[0]), []
+    while pending:
+        entity = pending.pop(0)
+        found.append(entity)
+        if type(entity).__name__ == "GroupAction":
+            pending += entity.args[0]
+    return found
+
+
+def of_type(entities: list[Any], name: str) -> list[Any]:
+    return [entity for entity in entities if type(entity).__name__ == name]
+
+
+def nodes_of(entities: list[Any]) -> dict[str, Any]:
+    return {node.kwargs["executable"]: node for node in of_type(entities, "Node")}
+
+
+def configuration_name(substitution: Any) -> str:
+    assert type(substitution).__name__ == "LaunchConfiguration"
+    return str(substitution.args[0])
+
+
+def entry_points(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Names of the executables that setup.py installs."""
+    recorded: dict[str, Any] = {}
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(setuptools, "setup", lambda **kwargs: recorded.update(kwargs))
+    runpy.run_path("setup.py")
+    assert recorded["name"] == "stereo_depth_ros"
+    return {line.split("=")[0].strip() for line in recorded["entry_points"]["console_scripts"]}
+
+
+def test_every_argument_of_the_contract_is_declared_once(entities: list[Any]) -> None:
+    declared = [argument.args[0] for argument in of_type(entities, "DeclareLaunchArgument")]
+    contract = {
+        *("approximate_sync", "avoid_point_cloud_padding", "use_color", "launch_image_proc", "namespace"),
+        *("left_namespace", "right_namespace", "container", "fused"),
+        *(info.name for info in parameter_infos(MatchingConfig)),
+    }
+    assert contract <= set(declared)
+    assert len(declared) == len(set(declared))
+
+
+def test_argument_defaults(entities: list[Any]) -> None:
+    defaults = {
+        argument.args[0]: argument.kwargs["default_value"] for argument in of_type(entities, "DeclareLaunchArgument")
+    }
+    assert all(isinstance(value, str) for value in defaults.values()), "launch takes text"
+    expected = {
+        **{"launch_image_proc": "true", "left_namespace": "left", "right_namespace": "right", "container": ""},
+        **{"fused": "false", "uniqueness_ratio": "15.0", "disparity_range": "64", "use_color": "True"},
+    }
+    assert {name: defaults[name] for name in expected} == expected
+
+
+def test_executables_are_installed(entities: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = nodes_of(entities)
+    assert set(nodes) == {"rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node"}
+    assert set(nodes) < entry_points(monkeypatch)
+    assert {node.kwargs["package"] for node in nodes.values()} == {"stereo_depth_ros"}
+
+
+def test_parameters_are_those_of_the_stages_with_their_types(entities: list[Any]) -> None:
+    stages = {
+        item.name: {info.name: info.type for info in parameter_infos(item.default)}
+        for item in dataclasses.fields(PipelineConfig)
+    }
+    expected = {
+        "rectify_node": stages["pairing"],
+        "disparity_node": {**stages["pairing"], **stages["matching"]},
+        "point_cloud_node": {**stages["pairing"], **stages["cloud"]},
+        "depth_node": {**stages["pairing"], **stages["depth"]},
+        "stereo_depth_node": {name: kind for stage in stages.values() for name, kind in stage.items()},
+    }
+    for executable, node in nodes_of(entities).items():
+        (parameters,) = node.kwargs["parameters"]
+        assert {name: value.kwargs["value_type"] for name, value in parameters.items()} == expected[executable]
+        if executable not in ("rectify_node", "stereo_depth_node"):
+            parameters = {name: value for name, value in parameters.items() if name != "image_transport"}
+        assert all(configuration_name(value.args[0]) == name for name, value in parameters.items())
+
+
+@pytest.mark.parametrize(
+    ("launch_image_proc", "asked", "expected"),
+    [("true", "compressed", "raw"), ("True", "compressed", "raw"), ("false", "compressed", "compressed")],
+)
+def test_compressed_is_asked_of_the_cameras_only(
+    entities: list[Any], launch_image_proc: str, asked: str, expected: str
+) -> None:
+    (parameters,) = nodes_of(entities)["disparity_node"].kwargs["parameters"]
+    given = {"launch_image_proc": launch_image_proc, "image_transport": asked}
+    parts = parameters["image_transport"].args[0].args[0]
+    expression = "".join(part if isinstance(part, str) else given[configuration_name(part)] for part in parts)
+    assert eval(expression) == expected
+
+
+def test_camera_topics_follow_the_namespaces(entities: list[Any]) -> None:
+    for node in nodes_of(entities).values():
+        assert configuration_name(node.kwargs["namespace"]) == "namespace"
+        remappings = {source: configuration_name(target[0]) + target[1] for source, target in node.kwargs["remappings"]}
+        assert remappings == {
+            f"{side}/{topic}": f"{side}_namespace/{topic}"
+            for side in ("left", "right")
+            for name in ("image_raw", "camera_info", "image_rect", "image_rect_color")
+            for topic in ([name] if name == "camera_info" else [name, f"{name}/compressed"])
+        }
+
+
+def test_one_shape_or_the_other(entities: list[Any]) -> None:
+    (group,) = of_type(entities, "GroupAction")
+    separate = {node.kwargs["executable"]: node.kwargs["condition"] for node in group.args[0]}
+    assert set(separate) == {"rectify_node", "disparity_node", "point_cloud_node", "depth_node"}
+    assert type(group.kwargs["condition"]).__name__ == "UnlessCondition"
+    assert configuration_name(group.kwargs["condition"].args[0]) == "fused"
+    assert configuration_name(separate.pop("rectify_node").args[0]) == "launch_image_proc"
+    assert set(separate.values()) == {None}
+    fused = nodes_of(entities)["stereo_depth_node"].kwargs["condition"]
+    assert type(fused).__name__ == "IfCondition"
+    assert configuration_name(fused.args[0]) == "fused"
+
+
+def test_a_container_is_answered_with_a_word(entities: list[Any]) -> None:
+    (info,) = of_type(entities, "LogInfo")
+    parts = info.kwargs["condition"].args[0].args[0]
+    text = "".join(part if isinstance(part, str) else part.args[0] for part in parts)
+    assert text == "'container' != ''"
+    assert "is not used" in info.kwargs["msg"][-1]

@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from stereo_depth_ros.errors import ImageError
+from stereo_depth_ros.evaluation.metrics import depth_errors, disparity_errors
+
+NAN = np.nan
+# Errors 0, 0.5, 0.75, 1.5, 4 where both are known; one hole; one pixel without truth (inf) and one with neither.
+TRUTH = np.array([[10, 20, 30, 40], [50, 60, np.inf, NAN]], np.float32)
+FOUND = np.array([[10, 20.5, 29.25, 41.5], [46, NAN, 7, NAN]], np.float32)
+
+
+def test_disparity_errors_by_hand() -> None:
+    errors = disparity_errors(FOUND, TRUTH)
+    assert errors.density == pytest.approx(5 / 6)
+    assert errors.bad_0_5 == pytest.approx(100 * 3 / 5)  # 0.5 itself is not above 0.5
+    assert errors.bad_1 == pytest.approx(100 * 2 / 5)
+    assert errors.bad_2 == pytest.approx(100 * 1 / 5)
+    assert errors.bad_2_all == pytest.approx(100 * 2 / 6)
+    assert errors.avg_px == pytest.approx(6.75 / 5)
+    assert errors.median_px == pytest.approx(0.75)
+    assert errors.rms_px == pytest.approx(math.sqrt((0.25 + 0.5625 + 2.25 + 16) / 5))
+
+
+def test_mask_selects_pixels() -> None:
+    mask = np.array([[False, True, False, False], [True, True, True, False]])
+    errors = disparity_errors(FOUND, TRUTH, mask)
+    assert errors.density == pytest.approx(2 / 3)
+    assert errors.avg_px == pytest.approx(4.5 / 2)
+    assert errors.bad_2_all == pytest.approx(100 * 2 / 3)
+
+
+def test_nothing_to_compare_is_nan_not_zero() -> None:
+    unknown = disparity_errors(FOUND, np.full_like(TRUTH, NAN))
+    assert math.isnan(unknown.density) and math.isnan(unknown.bad_2_all) and math.isnan(unknown.median_px)
+    empty = disparity_errors(np.full_like(FOUND, NAN), TRUTH)
+    assert (empty.density, empty.bad_2_all) == (0, 100)
+    assert math.isnan(empty.bad_2) and math.isnan(empty.avg_px) and math.isnan(empty.rms_px)
+
+
+def test_depth_errors_by_hand() -> None:
+    truth = np.array([[2, 4, 5], [8, NAN, 1]], np.float32)
+    found = np.array([[2.5, 4, 4], [NAN, 3, -np.inf]], np.float32)  # errors 0.5, 0, 1; relative 0.25, 0, 0.2
+    errors = depth_errors(found, truth)
+    assert errors.density == pytest.approx(3 / 5)
+    assert errors.median_m == pytest.approx(0.5)
+    assert errors.median_relative == pytest.approx(0.2)
+
+
+def test_shapes_must_agree() -> None:
+    with pytest.raises(ImageError, match=r"result is \(2, 4\), truth \(4, 2\).*one shape"):
+        disparity_errors(FOUND, TRUTH.reshape(4, 2))
+    with pytest.raises(ImageError, match=r"mask \(2, 3\)"):
+        disparity_errors(FOUND, TRUTH, np.ones((2, 3), bool))
+    with pytest.raises(ImageError, match="one shape"):
+        depth_errors(FOUND[:1], TRUTH)

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The stereo pair among topics of any names."""
+
+from __future__ import annotations
+
+import pytest
+
+from stereo_depth_ros.errors import TopicError
+from stereo_depth_ros.io.stereo_topics import StereoTopics, find_stereo_topics
+
+IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
+
+
+def topics(*names: str) -> dict[str, str]:
+    """Types as drivers have them: .../compressed is compressed, whatever says info is one."""
+    return {n: INFO if "info" in n else COMPRESSED if n.endswith("compressed") else IMAGE for n in names}
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "left_info", "right_info"),
+    [
+        ("/left/image_raw", "/right/image_raw", "/left/camera_info", "/right/camera_info"),
+        ("/cam0/image_raw", "/cam1/image_raw", "/cam0/camera_info", "/cam1/camera_info"),
+        ("/camera/infra1/image", "/camera/infra2/image", "/camera/infra1/camera_info", "/camera/infra2/camera_info"),
+        ("/kitti/image_00", "/kitti/image_01", "/kitti/info_00", "/kitti/info_01"),
+        ("/kitti/image_02", "/kitti/image_03", "/kitti/info_02", "/kitti/info_03"),
+        ("/img_l", "/img_r", "/info_l", "/info_r"),
+        ("/leftImage", "/rightImage", "/leftImage_info", "/rightImage_info"),
+        ("/camleft/raw", "/camright/raw", "/camleft/camera_info", "/camright/camera_info"),
+        ("/rig/left/left_image", "/rig/right/right_image", "/rig/left/camera_info", "/rig/right/camera_info"),
+        ("/cam9/image", "/cam10/image", "/cam9/camera_info", "/cam10/camera_info"),
+    ],
+)
+def test_names_of_eyes(left: str, right: str, left_info: str, right_info: str) -> None:
+    found = find_stereo_topics(topics("/rear/image", right_info, right, left, left_info, "/rear/camera_info"))
+    assert found == StereoTopics(left, right, left_info, right_info, compressed=False, rectified=False)
+
+
+def test_the_better_of_several_pairs() -> None:
+    raw = ["/left/image_raw", "/right/image_raw"]
+    packed = ["/left/image_raw/compressed", "/right/image_raw/compressed"]
+    rectified = ["/left/image_rect", "/right/image_rect"]
+    color = ["/left/image_color", "/right/image_color"]
+    infos = ["/left/camera_info", "/right/camera_info"]
+    best_first = [raw, packed, color, rectified]
+    for index, best in enumerate(best_first):
+        found = find_stereo_topics(topics(*infos, *(name for pair in best_first[index:] for name in pair)))
+        assert [found.left_image, found.right_image] == best
+        assert [found.left_info, found.right_info] == infos
+        assert (found.compressed, found.rectified) == (best is packed, best is rectified)
+
+
+def test_a_pair_with_infos_wins_over_a_raw_one_without() -> None:
+    found = find_stereo_topics(
+        topics("/a/cam0/image", "/a/cam1/image", "/b/left/image_rect", "/b/right/image_rect")
+        | topics("/b/left/camera_info", "/b/right/camera_info")
+    )
+    assert (found.left_image, found.left_info) == ("/b/left/image_rect", "/b/left/camera_info")
+
+
+def test_infos_that_are_not_siblings_are_found_by_likeness() -> None:
+    found = find_stereo_topics(
+        topics("/front/left", "/front/right", "/rear/info/left", "/rear/info/right", "/front/info_l", "/front/info_r")
+    )
+    assert (found.left_info, found.right_info) == ("/front/info_l", "/front/info_r")
+
+
+def test_infos_that_are_not_there() -> None:
+    found = find_stereo_topics(topics("/cam0/image_raw", "/cam1/image_raw", "/imu_info"))
+    assert (found.left_info, found.right_info) == (None, None)
+
+
+def test_given_names_win() -> None:
+    names = topics("/left/image_raw", "/right/image_raw", "/x/up", "/x/down", "/x/camera_info", "/a/left", "/a/right")
+    assert find_stereo_topics(names, left="/x/up", right="/left/image_raw").left_image == "/x/up"
+    assert find_stereo_topics(names, left="/a/left").right_image == "/a/right"
+    assert find_stereo_topics(names, right="/right/image_raw").left_image == "/left/image_raw"
+    found = find_stereo_topics(names, left="/right/image_raw", right="/left/image_raw")  # the user knows better
+    assert found.left_image == "/right/image_raw"
+
+
+@pytest.mark.parametrize(
+    ("names", "left", "right", "match"),
+    [
+        ([], None, None, r"no stereo pair among the image topics none: name them with --left and --right"),
+        (["/a", "/b"], None, None, r"no stereo pair among the image topics /a, /b: name them"),
+        (["/left/a", "/right/b"], None, None, r"no stereo pair among the image topics /left/a, /right/b"),
+        (["/left/a", "/right/a/compressed"], None, None, "no stereo pair"),
+        (["/cam0", "/cam1", "/cam2"], None, None, r"2 stereo pairs are equally good \(/cam0 with /cam1; /cam1 with"),
+        (["/left", "/right"], "/left", "/left", "left and right are the same topic /left"),
+        (["/left", "/right"], "/west", None, "no topic /west: image topics are /left, /right"),
+        (["/left", "/right"], None, "/east", "no topic /east: image topics are /left, /right"),
+        (
+            ["/left", "/info"],
+            "/info",
+            None,
+            "topic /info is sensor_msgs/msg/CameraInfo, not an image: choose among /left",
+        ),
+        (["/left", "/up"], "/up", None, "no partner for /up among the image topics /left, /up"),
+        (
+            ["/left", "/right/compressed"],
+            "/left",
+            "/right/compressed",
+            r"left /left is sensor_msgs/msg/Image and right",
+        ),
+    ],
+)
+def test_refusals_say_what_is_there(names: list[str], left: str | None, right: str | None, match: str) -> None:
+    with pytest.raises(TopicError, match=match):
+        find_stereo_topics(topics(*names), left, right)
