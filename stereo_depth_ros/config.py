@@ -60,7 +60,7 @@ class ParameterInfo:
             raise ConfigError(
                 f"parameter {self.name} = {value!r} is none of {', '.join(self.choices)}: take one of them"
             )
-        if isinstance(value, str) or isinstance(value, bool):
+        if isinstance(value, (str, bool)):
             return value
         assert isinstance(value, (int, float))
         if self.low is not None and self.high is not None and not self.low <= value <= self.high:

@@ -82,7 +82,9 @@ class GraphProcesses:
         for node, process in self._processes.items():
             code = process.poll()
             if code is not None:
-                raise GraphError(f"{node} ended with exit code {code}; its log {self.log(node)} ends:\n{self._tail(node)}")
+                raise GraphError(
+                    f"{node} ended with exit code {code}; its log {self.log(node)} ends:\n{self._tail(node)}"
+                )
 
     def stop(self) -> dict[str, int]:
         """End all nodes: SIGINT, then SIGTERM, then SIGKILL, five seconds each.

@@ -69,7 +69,9 @@ class BlockMatcher:
         search = (config.correlation_window_size // 2, config.min_disparity, config.num_disparities)
         tests = (config.texture_threshold, round(config.uniqueness_ratio), config.disp12_max_diff)
         buffers = (self._sum_type, self._fixed, reasons)
-        run_bands(_match_rows, rows, self._filtered, config.prefilter_cap, *search, *tests, *buffers)
+        values = (self._filtered, config.prefilter_cap, *search, *tests, *buffers)
+        # Every band begins by summing a whole window height.
+        run_bands(_match_rows, rows, *values, min_rows=max(64, 2 * config.correlation_window_size))
         self._speckle_filter(self._fixed, reasons)
         disparity_from_fixed(self._fixed, reasons, disparity_px)
         return MatchResult(disparity_px, reasons, self.step_px)

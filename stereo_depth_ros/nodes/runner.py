@@ -7,7 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
@@ -16,6 +17,8 @@ from stereo_depth_ros.transport import prepare_process
 
 __all__ = ["run"]
 
+RCLError = rclpy_implementation.RCLError
+
 
 def run(make_node: Callable[[], Node]) -> int:
     """Make the node, spin it until a signal comes, shut down.
@@ -23,18 +26,24 @@ def run(make_node: Callable[[], Node]) -> int:
     Returns:
         0 after SIGINT or SIGTERM, 1 where the node refuses its parameters or topics.
     """
-    prepare_process()
+    transport = prepare_process()
     node = None
     try:
         rclpy.init()
         node = make_node()
-        node.get_logger().info("ready")
-        rclpy.spin(node)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.get_logger().info(f"ready; {transport}")
+        executor.spin()
     except StereoDepthError as error:
         get_logger("stereo_depth_ros").fatal(str(error))
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RCLError:
+        if rclpy.ok():
+            raise
+        # A signal came between two calls: the context is gone, and with it what was asked for.
     finally:
         if node is not None:
             node.destroy_node()

@@ -62,7 +62,8 @@ class StereoDepthNode(StereoNode):
                 made = time.perf_counter()
                 output.publish(message)
                 sent = time.perf_counter()
-                result.timings_ms |= {f"make {topic}": 1e3 * (made - start), f"send {topic}": 1e3 * (sent - made)}
+                result.timings_ms[f"make {topic}"] = 1e3 * (made - start)
+                result.timings_ms[f"send {topic}"] = 1e3 * (sent - made)
         self.health.timing(result.timings_ms)
 
     def _config(self) -> PipelineConfig:

@@ -35,6 +35,7 @@ _OUTPUTS = {
 }
 _INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE)
+_MOST_COMPLAINTS = 3  # what comes later usually follows from these
 
 
 class GraphPorts:
@@ -76,6 +77,7 @@ class GraphPorts:
             for topic, (message_type, _) in _OUTPUTS.items()
         }
         self._statuses: dict[str, Any] = {}
+        self._complaints: list[str] = []
         node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 10)
 
     def spin(self, timeout_s: float) -> None:
@@ -123,9 +125,8 @@ class GraphPorts:
         }
 
     def complaints(self) -> str:
-        """What the nodes say is wrong, from the newest diagnostics; empty for nothing."""
-        wrong = {name: status for name, status in self._statuses.items() if status.level != DiagnosticStatus.OK}
-        return "; ".join(f"{name}: {status.message}" for name, status in sorted(wrong.items()))
+        """The first things that the nodes said were wrong, a line each; empty for nothing."""
+        return "; ".join(self._complaints[:_MOST_COMPLAINTS])
 
     def warn(self, text: str) -> None:
         """Log a warning."""
@@ -141,7 +142,12 @@ class GraphPorts:
             self._recorder.write(self._subscriptions[topic].topic_name, _OUTPUTS[topic][1], data, stamp_ns)
 
     def _receive_diagnostics(self, message: Any) -> None:
-        self._statuses |= {status.name.rpartition("/")[2]: status for status in message.status}
+        for status in message.status:
+            name = status.name.rpartition("/")[2]
+            self._statuses[name] = status
+            complaint = f"{name}: {status.message.splitlines()[0]}"
+            if status.level != DiagnosticStatus.OK and complaint not in self._complaints:
+                self._complaints.append(complaint)
 
 
 def _clock_message(stamp_ns: int) -> Any:
