@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stereo pairs of a bag as serialised messages, paired by stamp; what the live replay sends and the offline engine reads."""
+"""Stereo pairs of a bag as serialised messages, for the live replay and the offline engine alike."""
 
 from __future__ import annotations
 

@@ -172,10 +172,10 @@ class MatchingConfig(_Checked):
     )
     texture_threshold: int = _parameter(10, "Least sum of prefiltered gradient in the window; bm.", low=0, high=10000)
     speckle_size: int = _parameter(
-        100, "Components of fewer pixels are removed; 0 keeps all.", low=0, high=1000, unit="px"
+        100, "Components of at most this many pixels are removed; 0 keeps all.", low=0, high=1000, unit="px"
     )
     speckle_range: int = _parameter(
-        4, "Largest step of disparity between neighbours of one component.", low=0, high=31, unit="px"
+        4, "Largest step between neighbours of one component: in 1/16 px for bm, in px for sgbm.", low=0, high=31
     )
     disp12_max_diff: int = _parameter(
         0, "Tolerance of the left-right check; 0 is no check for bm and 1 px for sgbm.", low=0, high=128, unit="px"

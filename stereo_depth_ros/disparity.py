@@ -1,14 +1,21 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The disparity stage: the configured matcher, then what cannot lie in front of the cameras is taken out."""
+"""The disparity stage: the configured matcher, then what no camera could have seen is taken out."""
 
 from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.depth import reject_behind
 from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.parallel import compiled, run_bands
+from stereo_depth_ros.rectification import Rectifier
 from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import U8, MatchResult
+from stereo_depth_ros.swapped_eyes import EyeOrder
+from stereo_depth_ros.types import F32, U8, MatchResult, Reason
 
 __all__ = ["DisparityStage"]
 
@@ -18,7 +25,7 @@ class DisparityStage:
 
     Args:
         config: the matcher and its parameters.
-        rig: the rectified cameras.
+        rig: the cameras; their calibration says where a rectified image has pixels.
 
     Raises:
         ConfigError: the parameters contradict each other.
@@ -27,13 +34,46 @@ class DisparityStage:
     def __init__(self, config: MatchingConfig, rig: StereoRig) -> None:
         self._matcher = create_matcher(config.stereo_algorithm, config)
         self._doffs_px = rig.doffs_px
+        self._eye_order = EyeOrder(rig.doffs_px)
+        rectifier = Rectifier(rig)
+        sources = [_eroded(s, config.correlation_window_size) for s in (rectifier.left_source, rectifier.right_source)]
+        self._sources = None if all(source.all() for source in sources) else sources
 
     def match(self, left: U8, right: U8) -> MatchResult:
         """Disparities of rectified uint8 (H, W) images, NaN with a reason where there is none.
 
+        Rejected are RANGE, what does not lie in front of the cameras, and BORDER, where the matching window leaves what
+        the raw left or right camera saw.
+
         Raises:
-            ImageError: sizes that differ, or too small for the search.
+            ImageError: sizes that differ, images too small for the search, or eyes that are swapped.
         """
+        self._eye_order.check(left, right)
         result = self._matcher.match(left, right)
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)
+        if self._sources is not None:
+            run_bands(_reject_unseen, len(left), result.disparity_px, result.reasons, *self._sources)
         return result
+
+
+def _eroded(source: npt.NDArray[np.bool_], window: int) -> U8:
+    """uint8 (H, W), 1 where the whole window has a source."""
+    eroded: U8 = cv2.erode(source.astype(np.uint8), np.ones((window, window), np.uint8), borderValue=1)
+    return eroded
+
+
+_BORDER = np.uint8(Reason.BORDER)
+
+
+@compiled("void(int64, int64, float32[:, ::1], uint8[:, ::1], uint8[:, ::1], uint8[:, ::1])")
+def _reject_unseen(first: int, last: int, disparity_px: F32, reasons: U8, left_seen: U8, right_seen: U8) -> None:
+    border = _BORDER
+    width = disparity_px.shape[1]
+    for y in range(first, last):
+        for x in range(width):
+            d = disparity_px[y, x]
+            if not np.isnan(d):
+                at = x - np.int64(np.rint(d))
+                if not left_seen[y, x] or not 0 <= at < width or not right_seen[y, at]:
+                    disparity_px[y, x] = np.float32(np.nan)
+                    reasons[y, x] |= border

@@ -83,7 +83,7 @@ class GraphProcesses:
             code = process.poll()
             if code is not None:
                 raise GraphError(
-                    f"{node} ended with exit code {code}; its log {self.log(node)} ends:\n{self._tail(node)}"
+                    f"{node} ended with exit code {code}; the end of its log:\n{self._tail(node)}"
                 )
 
     def stop(self) -> dict[str, int]:
@@ -136,8 +136,8 @@ def require_ros() -> None:
     missing = [name for name in ("rclpy", "sensor_msgs", "stereo_msgs") if importlib.util.find_spec(name) is None]
     if missing:
         raise GraphError(
-            f"{', '.join(missing)} not found for {sys.executable}: source ROS 2 Jazzy (source /opt/ros/jazzy/setup.bash), "
-            "or pip install 'stereo_depth_ros[ros]'; `stereo-depth process` needs no ROS"
+            f"{', '.join(missing)} not found for {sys.executable}: source /opt/ros/jazzy/setup.bash where ROS 2 is "
+            "installed, or pip install 'stereo_depth_ros[ros]'; `stereo-depth process` needs no ROS"
         )
 
 

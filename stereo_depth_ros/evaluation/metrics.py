@@ -108,7 +108,7 @@ def _errors(values: F32, truth: F32, mask: npt.NDArray[np.bool_] | None) -> tupl
 
 
 def _share(part: int | np.integer[Any], whole: int) -> float:
-    return part / whole if whole else float("nan")
+    return float(part / whole) if whole else float("nan")
 
 
 def _median(values: F64) -> float:

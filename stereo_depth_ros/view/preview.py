@@ -21,7 +21,8 @@ _FAINT = (160, 154, 148)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _PANEL_WIDTH = 640  # smaller images are enlarged to about this width, so that text and picture are in proportion
 _MARGIN, _TITLE, _CAPTION, _LEGEND = 16, 44, 30, 92
-_BAR_WIDTH, _TICK_GAP = 18, 22
+_BAR_WIDTH, _TICK_GAP = 18, 26
+_FINE, _FEWEST_TICKS = tuple(k / 100 for k in range(101, 1000)), 4
 
 
 def preview(left: U8, depth_m: F32, title: str = "") -> U8:
@@ -89,10 +90,12 @@ def legend_ticks(near_m: float, far_m: float, bar_px: int) -> list[float]:
 
 
 def _round_values(near_m: float, far_m: float) -> list[float]:
-    """Values between the ends, the roundest first: 1, 10, then 2, 5, 20, then 1.5, 3, 4, ... then finer ones."""
+    """Values between the ends, the roundest first: 1, 10, then 2, 5, 20, then 1.5, 3, 4, ...; finer ones if need be."""
     found: dict[float, None] = {}
     decades = range(math.floor(math.log10(near_m)), math.ceil(math.log10(far_m)) + 1)
-    for steps in ((1.0,), (2.0, 5.0), (1.5, 3.0, 4.0, 7.0), tuple(k / 10 for k in range(11, 100))):
+    for steps in ((1.0,), (2.0, 5.0), (1.5, 3.0, 4.0, 7.0), (1.2, 1.8, 2.5, 6.0, 8.0), _FINE):
+        if steps is _FINE and len(found) >= _FEWEST_TICKS:
+            break
         for decade in decades:
             for step in steps:
                 value = round(step * 10.0**decade, 6)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The replay's ends of the graph: publishers of raw stereo, raw subscriptions to every output, the nodes' diagnostics."""
+"""The replay's ends of the graph: publishers of raw pairs, subscriptions to every output and to diagnostics."""
 
 from __future__ import annotations
 

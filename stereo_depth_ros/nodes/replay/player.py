@@ -134,7 +134,7 @@ class Player:
             return
         reason = self._ports.complaints() or "the nodes complain of nothing"
         self._ports.warn(
-            f"pair {_seconds(pair.stamp_ns)}: {', '.join(pair.topics)} did not come within {_LOST_AFTER_S:g} s; {reason}"
+            f"pair {_seconds(pair.stamp_ns)}: {', '.join(pair.topics)} not there after {_LOST_AFTER_S:g} s: {reason}"
         )
         self._silent_pairs += pair.nothing_came
         if self._silent_pairs >= _MOST_SILENT_PAIRS:

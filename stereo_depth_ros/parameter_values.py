@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters as a user gives them, `name:=value` and ROS parameter files, to checked values and a PipelineConfig."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import yaml
+
+from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, PipelineConfig, parameter_infos, replace_checked
+from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.matching import MATCHERS
+
+__all__ = ["Value", "parse_assignments", "pipeline_config", "read_params_file"]
+
+Value: TypeAlias = bool | int | float | str
+
+_OTHERS = ("use_sim_time", "qos_overrides")  # of the nodes, not of the path
+
+
+def parse_assignments(assignments: Iterable[str], matcher: str | None = None) -> dict[str, Value]:
+    """Checked values of ``name:=value`` texts, and of a matcher by name.
+
+    Raises:
+        ConfigError: not of this form, an unknown name, or a value that the parameter refuses.
+    """
+    values: dict[str, Any] = {}
+    if matcher is not None:
+        if matcher not in MATCHERS:
+            raise ConfigError(f"matcher {matcher!r} is none of {', '.join(MATCHERS)}: take one of them")
+        values["stereo_algorithm"] = list(MATCHERS).index(matcher)
+    for text in assignments:
+        name, separator, value = text.partition(":=")
+        if not separator:
+            raise ConfigError(f"parameter {text!r} is not of the form name:=value, for example disparity_range:=128")
+        try:
+            values[name] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"parameter {name}: {value!r} is no value ({error}): write a number, word or bool") from error
+    infos = _infos()
+    return {name: _info(name, infos).check(value) for name, value in values.items()}
+
+
+def read_params_file(path: Path) -> dict[str, Value]:
+    """Checked values of a ROS parameter file; those of all its nodes together.
+
+    Raises:
+        ConfigError: cannot be read, is no parameter file, or holds a name or value that is refused.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path} is not a parameter file: {error}") from error
+    sections = [*content.values()] if isinstance(content, Mapping) else [None]
+    infos = _infos()
+    values: dict[str, Value] = {}
+    for section in sections:
+        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
+            raise ConfigError(f"{path} is not a parameter file: write node names (or /**), then ros__parameters below them")
+        for name, value in section["ros__parameters"].items():
+            if not str(name).startswith(_OTHERS):
+                values[name] = _info(str(name), infos).check(value)
+    return values
+
+
+def pipeline_config(values: Mapping[str, Value]) -> PipelineConfig:
+    """The configs of all stages with these values.
+
+    Raises:
+        ConfigError: values that contradict each other.
+    """
+    stages = []
+    for stage in STAGE_CONFIGS:
+        names = {info.name for info in parameter_infos(stage)}
+        stages.append(replace_checked(stage(), {name: value for name, value in values.items() if name in names}))
+    return PipelineConfig(*stages)  # type: ignore[arg-type]
+
+
+def _infos() -> dict[str, ParameterInfo]:
+    return {info.name: info for stage in STAGE_CONFIGS for info in parameter_infos(stage)}
+
+
+def _info(name: str, infos: Mapping[str, ParameterInfo]) -> ParameterInfo:
+    if name not in infos:
+        close = difflib.get_close_matches(name, infos, 1)
+        remedy = f"did you mean {close[0]!r}?" if close else "`stereo-depth parameters` lists all"
+        raise ConfigError(f"unknown parameter {name!r}: {remedy}")
+    return infos[name]
