@@ -31,8 +31,8 @@ lint: venv ## check style and types
 bench: venv ## measure the graph beside the bare kernels
 	$(BIN)/python benchmarks/graph.py
 
-config: venv ## write config/stereo_depth.yaml and the README's table of parameters anew
-	$(BIN)/python -c "from stereo_depth_ros.parameter_files import write_files; write_files('.')"
+config: venv ## write config/stereo_depth.yaml and the README's tables anew
+	$(BIN)/python -c "from stereo_depth_ros.documentation import write_files; write_files('.')"
 
 clean: ## remove environments and everything built
 	rm -rf .venv* build install log out .mypy_cache .ruff_cache .pytest_cache *.egg-info

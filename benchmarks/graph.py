@@ -29,7 +29,7 @@ from stereo_depth_ros.io.image_message import image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
 from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
 from stereo_depth_ros.transport import prepare_process
-from stereo_depth_ros.types import U8, StereoPair
+from stereo_depth_ros.types import StereoPair
 
 os.environ.setdefault("ROS_DOMAIN_ID", "93")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -146,18 +146,8 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
     """A function that runs remap twice, the matcher and the reprojection once and returns the milliseconds."""
     height, width = pair.left.pixels.shape
     K = np.array([[width * 0.9, 0, width / 2], [0, width * 0.9, height / 2], [0, 0, 1.0]])
-    maps = cv2.initUndistortRectifyMap(
-        K, np.array([0.1, -0.05, 0, 0, 0]), np.eye(3), K, (width, height), cv2.CV_16SC2
-    )
-    if matcher == "bm":
-        stereo = cv2.StereoBM_create(disparities, 15)
-        stereo.setPreFilterCap(31)
-        stereo.setTextureThreshold(10)
-        stereo.setUniquenessRatio(15)
-        stereo.setSpeckleWindowSize(100)
-        stereo.setSpeckleRange(4)
-    else:
-        stereo = cv2.StereoSGBM_create(0, disparities, 15, 200, 400, 0, 31, 15, 100, 4)
+    maps = cv2.initUndistortRectifyMap(K, np.array([0.1, -0.05, 0, 0, 0]), np.eye(3), K, (width, height), cv2.CV_16SC2)
+    stereo = _opencv_matcher(matcher, disparities)
     Q = np.array([[1, 0, 0, -width / 2], [0, 1, 0, -height / 2], [0, 0, 0, width * 0.9], [0, 0, 8.0, 0]])
     left, right = np.empty((2, height, width), np.uint8)
     fixed = np.empty((height, width), np.int16)
@@ -176,6 +166,19 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
         return 1e3 * (time.perf_counter() - again + middle - start)
 
     return run
+
+
+def _opencv_matcher(matcher: str, disparities: int) -> cv2.StereoMatcher:
+    """OpenCV's, with the defaults of the nodes."""
+    if matcher == "sgbm":
+        return cv2.StereoSGBM.create(0, disparities, 15, 200, 400, 0, 31, 15, 100, 4)
+    block_matching = cv2.StereoBM.create(disparities, 15)
+    block_matching.setPreFilterCap(31)
+    block_matching.setTextureThreshold(10)
+    block_matching.setUniquenessRatio(15)
+    block_matching.setSpeckleWindowSize(100)
+    block_matching.setSpeckleRange(4)
+    return block_matching
 
 
 @contextmanager

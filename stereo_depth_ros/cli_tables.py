@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
@@ -13,16 +16,16 @@ from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, parameter_info
 from stereo_depth_ros.io.bag_info import BagInfo
 from stereo_depth_ros.replay_report import ReplayResult
 
-__all__ = ["info_tables", "parameters_table", "result_tables"]
+__all__ = ["info_tables", "info_values", "parameters_table", "parameters_values", "result_tables"]
 
 
-def result_tables(result: ReplayResult) -> Iterator[Table]:
-    """What a replay or an offline run gave: a summary, the outputs, the stages."""
-    yield _summary_table(result)
+def result_tables(result: ReplayResult, picture: Path | None = None) -> Iterator[Table]:
+    """What a replay or an offline run gave: the outputs, the stages, a summary with the paths."""
     if result.outputs:
         yield _outputs_table(result)
     if result.stages_ms:
         yield _stages_table(result)
+    yield _summary_table(result, picture)
 
 
 def info_tables(info: BagInfo) -> Iterator[Table]:
@@ -41,9 +44,25 @@ def info_tables(info: BagInfo) -> Iterator[Table]:
         facts.add_row("images", f"{image.width}x{image.height} {image.encoding}")
     if info.rig is not None:
         facts.add_row("rig", f"f {info.rig.f_px:.1f} px, baseline {1e3 * info.rig.baseline_m:.1f} mm")
-    facts.add_row("pairs", f"{info.exact_pairs} of equal stamps, {info.near_pairs} within {1e3 * info.tolerance_s:g} ms")
+    facts.add_row(
+        "pairs", f"{info.exact_pairs} of equal stamps, {info.near_pairs} within {1e3 * info.tolerance_s:g} ms"
+    )
     facts.add_row("stereo depth", "[green]can be made of it" if info.usable else "[red]cannot be made of it")
     yield facts
+
+
+def info_values(info: BagInfo) -> dict[str, Any]:
+    """The same for JSON."""
+    values = {
+        name: getattr(info, name) for name in ("start_ns", "duration_s", "exact_pairs", "near_pairs", "tolerance_s")
+    }
+    values |= {name: list(getattr(info, name)) for name in ("problems", "warnings")}
+    values["topics"] = {name: dataclasses.asdict(topic) for name, topic in info.topics.items()}
+    for name in ("stereo", "left_image", "right_image"):
+        found = getattr(info, name)
+        values[name] = dataclasses.asdict(found) if found is not None else None
+    values["rig"] = {"f_px": info.rig.f_px, "baseline_m": info.rig.baseline_m} if info.rig is not None else None
+    return {"path": str(info.path), "usable": info.usable, **values}
 
 
 def parameters_table() -> Table:
@@ -56,11 +75,22 @@ def parameters_table() -> Table:
     return table
 
 
-def _summary_table(result: ReplayResult) -> Table:
+def parameters_values() -> list[dict[str, Any]]:
+    """The same for JSON."""
+    return [
+        dataclasses.asdict(info) | {"type": info.type.__name__}
+        for stage in STAGE_CONFIGS
+        for info in parameter_infos(stage)
+    ]
+
+
+def _summary_table(result: ReplayResult, picture: Path | None) -> Table:
     facts = _facts()
     facts.add_row("pairs in", str(result.pairs))
     if result.unpaired_left or result.unpaired_right:
         facts.add_row("images without partner", f"left {result.unpaired_left}, right {result.unpaired_right}")
+    if result.left_out:
+        facts.add_row("pairs left out", str(result.left_out))
     facts.add_row("pairs a second", f"{result.frames_per_second:.1f}")
     score = result.score
     if score is not None:
@@ -73,12 +103,16 @@ def _summary_table(result: ReplayResult) -> Table:
                 f"({score.truth_frames} frames, density {100 * score.density:.1f} %)",
             )
     if result.output is not None:
-        facts.add_row("written", str(result.output))
+        facts.add_row("bag written", str(result.output))
+    if picture is not None:
+        facts.add_row("picture", str(picture))
     return facts
 
 
 def _outputs_table(result: ReplayResult) -> Table:
-    table = _table("output", "received:r", "lost:r", "p50 ms:r", "p95 ms:r", title="latency, raw pair sent to output received")
+    table = _table(
+        "output", "received:r", "lost:r", "p50 ms:r", "p95 ms:r", title="latency, raw pair sent to output received"
+    )
     for topic, stats in result.outputs.items():
         lost = f"[red]{stats.lost}" if stats.lost else "0"
         table.add_row(topic, str(stats.received), lost, _ms(stats.p50_ms), _ms(stats.p95_ms))

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -39,16 +41,20 @@ class DisparityStage:
         sources = [_eroded(s, config.correlation_window_size) for s in (rectifier.left_source, rectifier.right_source)]
         self._sources = None if all(source.all() for source in sources) else sources
 
-    def match(self, left: U8, right: U8) -> MatchResult:
-        """Disparities of rectified uint8 (H, W) images, NaN with a reason where there is none.
+    def match(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None = None) -> MatchResult:
+        """Disparities of a rectified pair, NaN with a reason where there is none.
 
         Rejected are RANGE, what does not lie in front of the cameras, and BORDER, where the matching window leaves what
         the raw left or right camera saw.
 
+        Args:
+            left, right: uint8 (H, W).
+            exchange: rectifies the raw images the other way round, where they are known; see :class:`EyeOrder`.
+
         Raises:
             ImageError: sizes that differ, images too small for the search, or eyes that are swapped.
         """
-        self._eye_order.check(left, right)
+        self._eye_order.check(left, right, exchange)
         result = self._matcher.match(left, right)
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)
         if self._sources is not None:
@@ -72,8 +78,10 @@ def _reject_unseen(first: int, last: int, disparity_px: F32, reasons: U8, left_s
     for y in range(first, last):
         for x in range(width):
             d = disparity_px[y, x]
-            if not np.isnan(d):
+            unseen = not left_seen[y, x]
+            if not unseen and not np.isnan(d):
                 at = x - np.int64(np.rint(d))
-                if not left_seen[y, x] or not 0 <= at < width or not right_seen[y, at]:
-                    disparity_px[y, x] = np.float32(np.nan)
-                    reasons[y, x] |= border
+                unseen = not 0 <= at < width or not right_seen[y, at]
+            if unseen:
+                disparity_px[y, x] = np.float32(np.nan)
+                reasons[y, x] |= border

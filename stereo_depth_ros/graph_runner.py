@@ -82,9 +82,7 @@ class GraphProcesses:
         for node, process in self._processes.items():
             code = process.poll()
             if code is not None:
-                raise GraphError(
-                    f"{node} ended with exit code {code}; the end of its log:\n{self._tail(node)}"
-                )
+                raise GraphError(f"{node} ended with exit code {code}; the end of its log:\n{self._tail(node)}")
 
     def stop(self) -> dict[str, int]:
         """End all nodes: SIGINT, then SIGTERM, then SIGKILL, five seconds each.

@@ -15,6 +15,7 @@ from stereo_depth_ros.bag_score import score_disparity
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.errors import BagError, StereoDepthError
 from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.io.cdr_stamp import stamp_text
 from stereo_depth_ros.io.image_message import decode
 from stereo_depth_ros.io.message_types import RosbagsTypes
 from stereo_depth_ros.io.result_messages import ResultMessages
@@ -64,12 +65,13 @@ def process_bag(
     engine = _Engine(config)
     with BagPairs(selection, config.pairing) as pairs:
         with BagWriter(output, compression="lz4", overwrite=True) as writer:
-            start, sent = time.perf_counter(), 0
+            start, sent, left_out = time.perf_counter(), 0, 0
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
                     timings_ms = engine.process(pair, pairs.topics.compressed, writer)
                 except StereoDepthError as error:
-                    refused.setdefault(type(error).__name__, f"pair {pair.stamp_ns / 1e9:.9f} left out: {error}")
+                    left_out += 1
+                    refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} left out: {error}")
                 else:
                     for stage, ms in timings_ms.items():
                         stages_ms[stage].append(ms)
@@ -85,6 +87,7 @@ def process_bag(
             unpaired_left=pairs.unpaired_left,
             unpaired_right=pairs.unpaired_right,
             outputs={},
+            left_out=left_out,
             wall_s=wall_s,
             stages_ms={stage: (percentile(times, 50), percentile(times, 95)) for stage, times in stages_ms.items()},
             score=score_disparity(output, selection.path),

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, PipelineConfig, parameter_infos, replace_checked
 from stereo_depth_ros.errors import ConfigError
@@ -40,7 +40,9 @@ def parse_assignments(assignments: Iterable[str], matcher: str | None = None) ->
         try:
             values[name] = yaml.safe_load(value)
         except yaml.YAMLError as error:
-            raise ConfigError(f"parameter {name}: {value!r} is no value ({error}): write a number, word or bool") from error
+            raise ConfigError(
+                f"parameter {name}: {value!r} is no value ({error}): write a number, word or bool"
+            ) from error
     infos = _infos()
     return {name: _info(name, infos).check(value) for name, value in values.items()}
 
@@ -60,7 +62,9 @@ def read_params_file(path: Path) -> dict[str, Value]:
     values: dict[str, Value] = {}
     for section in sections:
         if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
-            raise ConfigError(f"{path} is not a parameter file: write node names (or /**), then ros__parameters below them")
+            raise ConfigError(
+                f"{path} is not a parameter file: write node names (or /**), then ros__parameters below them"
+            )
         for name, value in section["ros__parameters"].items():
             if not str(name).startswith(_OTHERS):
                 values[name] = _info(str(name), infos).check(value)

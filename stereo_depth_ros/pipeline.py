@@ -48,9 +48,13 @@ class StereoPipeline:
         start = time.perf_counter()
         rectified = self._rectifier.rectify(pair)
         middle = time.perf_counter()
-        disparity = self._disparity.match(rectified.left, rectified.right)
+        disparity = self._disparity.match(rectified.left, rectified.right, lambda: self._exchanged(pair))
         timings_ms = {"rectify": 1e3 * (middle - start), "match": 1e3 * (time.perf_counter() - middle)}
         return StereoResult(pair, rectified, disparity, self.rig, self.config, timings_ms)
+
+    def _exchanged(self, pair: StereoPair) -> tuple[U8, U8]:
+        exchanged = self._rectifier.rectify(StereoPair(pair.right, pair.left))
+        return exchanged.left, exchanged.right
 
 
 @dataclass(frozen=True)

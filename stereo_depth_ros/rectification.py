@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.io.image_message import to_gray
-from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import U8, RectifiedPair, StereoPair
 
 __all__ = ["Rectifier"]

@@ -51,6 +51,7 @@ class ReplayResult:
         pairs: pairs sent.
         unpaired_left, unpaired_right: images of the bag without a partner in the other eye.
         outputs: per topic; empty offline.
+        left_out: pairs that could not be processed; offline only, live they are lost outputs.
         wall_s: seconds from the first pair sent to the last output received.
         stages_ms: stage name to (p50, p95) in milliseconds, as the nodes or the pipeline measured them.
         score: valid fraction and error of the recorded disparities; None where nothing was recorded.
@@ -65,6 +66,7 @@ class ReplayResult:
     unpaired_right: int
     outputs: Mapping[str, OutputStats]
     wall_s: float
+    left_out: int = 0
     stages_ms: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     score: BagScore | None = None
     realtime: bool = False

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two cameras and the rig they form: what makes one usable, its baseline and its reprojection."""
+"""Two cameras and the rig they form: what makes it usable, its baseline and its reprojection."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,55 +12,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.camera_model import CameraModel, check_intrinsics, check_rectification, check_rotation
 from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.types import F64
 
-__all__ = ["CameraModel", "StereoRig"]
+__all__ = ["StereoRig"]
 
 MIN_BASELINE_M, MAX_BASELINE_M = 1e-3, 10.0
-_COEFFICIENTS: Mapping[str, tuple[int, ...]] = {
-    "plumb_bob": (0, 4, 5),
-    "rational_polynomial": (8, 12, 14),
-    "equidistant": (4,),
-}
-_NOT_SET = "is all zero, which means not set: calibrate the camera, or fill it in"
-_K_FORM = ("K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-_P_FORM = ("P", "[[fx, 0, cx, -fx * baseline], [0, fy, cy, 0], [0, 0, 1, 0]]")
-
-
-@dataclass(frozen=True, eq=False)
-class CameraModel:
-    """One camera as ``sensor_msgs/CameraInfo`` describes it, for the image it really delivers.
-
-    Attributes:
-        width, height: size of the image in pixels, after region of interest and binning.
-        distortion_model: "plumb_bob", "rational_polynomial" or "equidistant".
-        K: float64 (3, 3), intrinsics of the raw image, px.
-        D: float64 (n,), coefficients of the distortion model; empty is none for plumb_bob.
-        R: float64 (3, 3), rotation from the camera to the rectified camera.
-        P: float64 (3, 4), projection of the rectified image, px and px * m; P[0, 3] = -fx * baseline for the right eye.
-        frame_id: name of the optical frame.
-
-    Raises:
-        CalibrationError: an array has the wrong number of values.
-    """
-
-    width: int
-    height: int
-    distortion_model: str
-    K: F64
-    D: F64
-    R: F64
-    P: F64
-    frame_id: str = ""
-
-    def __post_init__(self) -> None:
-        for name, columns in (("K", 3), ("R", 3), ("P", 4)):
-            values = np.array(getattr(self, name), dtype=np.float64)
-            if values.size != 3 * columns:
-                raise CalibrationError(f"{name} has {values.size} values, it takes 3 x {columns}: write all of them")
-            object.__setattr__(self, name, values.reshape(3, columns))
-        object.__setattr__(self, "D", np.array(self.D, dtype=np.float64).ravel())
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +39,8 @@ class StereoRig:
 
     def __post_init__(self) -> None:
         for camera, label in zip((self.left, self.right), self._labels(), strict=True):
-            _check_intrinsics(camera, label)
-            _check_rectification(camera, label)
+            check_intrinsics(camera, label)
+            check_rectification(camera, label)
         _check_pair(self.left, self.right, *self._labels())
 
     @classmethod
@@ -126,9 +83,9 @@ class StereoRig:
         bare = np.eye(3, 4)
         left = CameraModel(*size, distortion_model, _array(K_left), _array(D_left), np.eye(3), bare, frame_id)
         right = CameraModel(*size, distortion_model, _array(K_right), _array(D_right), np.eye(3), bare, frame_id)
-        _check_intrinsics(left, "left camera")
-        _check_intrinsics(right, "right camera")
-        _check_rotation(_array(R).reshape(3, 3), "R from the left to the right camera")
+        check_intrinsics(left, "left camera")
+        check_intrinsics(right, "right camera")
+        check_rotation(_array(R).reshape(3, 3), "R from the left to the right camera")
         _check_baseline(float(np.linalg.norm(_array(T))), "T from the left to the right camera")
         R_left, R_right, P_left, P_right = _rectify(left, right, _array(R), _array(T), alpha)
         return cls(replace(left, R=R_left, P=P_left), replace(right, R=R_right, P=P_right))
@@ -228,6 +185,23 @@ class StereoRig:
                 "at this resolution, or set binning and roi of the camera info"
             )
 
+    def check_eye(self, eye: str, frame_id: str, topic: str) -> None:
+        """Refuses an image of one eye that carries the frame of the other eye.
+
+        Args:
+            eye: "left" or "right".
+            frame_id: of the image.
+
+        Raises:
+            CalibrationError: the image is the other eye's.
+        """
+        own, other = (self.left, self.right) if eye == "left" else (self.right, self.left)
+        if frame_id and frame_id != own.frame_id and frame_id == other.frame_id:
+            raise CalibrationError(
+                f"{topic}: frame_id is {frame_id!r}, the frame of the other eye, here it is {own.frame_id!r}: "
+                "eyes are swapped, exchange the image topics of left and right"
+            )
+
     def _labels(self) -> tuple[str, str]:
         left, right = self.topics
         return (
@@ -251,68 +225,6 @@ def _rectify(left: CameraModel, right: CameraModel, R: F64, T: F64, alpha: float
     D_left, D_right = (camera.D if camera.D.size else np.zeros(5) for camera in (left, right))
     pinhole = cv2.stereoRectify(left.K, D_left, right.K, D_right, size, R, T, flags=flags, alpha=alpha)
     return pinhole[0], pinhole[1], pinhole[2], pinhole[3]
-
-
-def _check_intrinsics(camera: CameraModel, label: str) -> None:
-    if camera.width < 1 or camera.height < 1:
-        raise CalibrationError(f"{label}: size {camera.width}x{camera.height} is empty: set width and height")
-    if camera.distortion_model not in _COEFFICIENTS:
-        raise CalibrationError(
-            f"{label}: distortion_model {camera.distortion_model!r} is none of {', '.join(_COEFFICIENTS)}: "
-            "calibrate with one of them, or set plumb_bob and zeros for an image without distortion"
-        )
-    counts = _COEFFICIENTS[camera.distortion_model]
-    if camera.D.size not in counts:
-        raise CalibrationError(
-            f"{label}: D has {camera.D.size} coefficients, {camera.distortion_model} takes "
-            f"{' or '.join(map(str, counts))}: set as many, or the distortion_model they belong to"
-        )
-    _check_finite(camera, label, "K", "D")
-    _check_set(camera, label, "K")
-    _check_form(camera.K, label, *_K_FORM)
-
-
-def _check_rectification(camera: CameraModel, label: str) -> None:
-    _check_finite(camera, label, "R", "P")
-    _check_set(camera, label, "R", "P")
-    _check_rotation(camera.R, f"{label}: R")
-    _check_form(camera.P, label, *_P_FORM)
-
-
-def _check_finite(camera: CameraModel, label: str, *names: str) -> None:
-    for name in names:
-        values = getattr(camera, name)
-        if not np.isfinite(values).all():
-            raise CalibrationError(
-                f"{label}: {name} has a value that is not finite, {values.ravel().tolist()}: "
-                "calibrate again, or write numbers"
-            )
-
-
-def _check_set(camera: CameraModel, label: str, *names: str) -> None:
-    for name in names:
-        if not getattr(camera, name).any():
-            raise CalibrationError(f"{label}: {name} {_NOT_SET}")
-
-
-def _check_form(matrix: F64, label: str, name: str, form: str) -> None:
-    """Focal lengths above 0 and nothing where the pinhole has nothing: OpenCV would ignore a skew without a word."""
-    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
-        raise CalibrationError(
-            f"{label}: {name} has focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px, they are above 0: calibrate"
-        )
-    rest = [matrix[0, 1], matrix[1, 0], *matrix[2, :2], matrix[2, 2] - 1, *matrix[2, 3:]]
-    if np.abs(rest).max() > 1e-6:
-        raise CalibrationError(f"{label}: {name} = {matrix.tolist()} is not of the form {form}: write it row by row")
-
-
-def _check_rotation(R: F64, label: str) -> None:
-    error = np.abs(R @ R.T - np.eye(3)).max()
-    if not error <= 1e-3 or np.linalg.det(R) < 0:
-        raise CalibrationError(
-            f"{label} = {R.tolist()} is not a rotation (|R R^T - I| = {error:.3g}, limit 0.001; determinant +1): "
-            "calibrate, or set the identity for a rectified image"
-        )
 
 
 def _check_baseline(baseline_m: float, label: str) -> None:

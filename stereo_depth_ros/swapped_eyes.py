@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
@@ -32,11 +34,13 @@ class EyeOrder:
         self._known = False
         self._frames = 0
 
-    def check(self, left: U8, right: U8) -> None:
+    def check(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None = None) -> None:
         """Look at a pair, until one has shown that the order is right; what shows nothing passes.
 
         Args:
             left, right: uint8 (H, W), rectified, as they came in.
+            exchange: rectifies the raw images the other way round; without it the rectified ones are exchanged,
+                which shows little where the two rectifications differ much.
 
         Raises:
             ImageError: the eyes are swapped.
@@ -46,12 +50,8 @@ class EyeOrder:
         self._frames += 1
         if self._frames % _AGAIN != 1:
             return
-        scale = min(1.0, _WIDTH / left.shape[1])
-        small_left, small_right = (
-            cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for image in (left, right)
-        )
-        as_given = _smooth_share(small_left, small_right, self._doffs_px * scale)
-        swapped = _smooth_share(small_right, small_left, self._doffs_px * scale)
+        as_given = _smooth_share(left, right, self._doffs_px)
+        swapped = _smooth_share(*(exchange() if exchange else (right, left)), self._doffs_px)
         if swapped > _ENOUGH and swapped > _CLEARLY * as_given:
             self._frames = 0  # the next pair is looked at again
             raise ImageError(
@@ -63,12 +63,14 @@ class EyeOrder:
 
 def _smooth_share(left: U8, right: U8, doffs_px: float) -> float:
     """Share of the pixels that match in front of the cameras with a disparity like their neighbour's, 0..1."""
-    first = int(np.floor(doffs_px))
+    scale = min(1.0, _WIDTH / left.shape[1])
+    left, right = (cv2.resize(i, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for i in (left, right))
+    first = int(np.floor(doffs_px * scale))
     begin = max(0, first + _DISPARITIES) + _WINDOW // 2
     end = left.shape[1] - _WINDOW // 2 + min(0, first)
     if end - begin < _WINDOW or left.shape[0] <= 2 * _WINDOW:
         return 0.0
-    stereo = cv2.StereoBM_create(_DISPARITIES, _WINDOW)
+    stereo = cv2.StereoBM.create(_DISPARITIES, _WINDOW)
     stereo.setMinDisparity(first)
     stereo.setUniquenessRatio(15)
     fixed = stereo.compute(left, right)[_WINDOW // 2 : -(_WINDOW // 2), begin:end]

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.io.calibration_yaml import read_camera, write_camera
-from stereo_depth_ros.stereo_rig import CameraModel
 
 RIGHT_YAML = """\
 image_width: 640

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.io.camera_info_message import camera_from_info, camera_info_message, rectified_camera_info
 from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+from stereo_depth_ros.stereo_rig import StereoRig
 
 
 def info(roi: tuple[int, int, int, int] = (0, 0, 0, 0), binning: tuple[int, int] = (0, 0)) -> Any:

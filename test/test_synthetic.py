@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import BagError, ConfigError
 from stereo_depth_ros.io.bag_reader import BagReader
 from stereo_depth_ros.io.disparity_message import published_disparity
@@ -28,7 +29,7 @@ from stereo_depth_ros.io.synthetic import (
 from stereo_depth_ros.io.synthetic.bag import TRUTH_STEP_PX, write_synthetic_bag
 from stereo_depth_ros.io.synthetic.rays import depth_and_shadow, pixel_rays, render
 from stereo_depth_ros.io.synthetic.rig import R_RIGHT_LEFT
-from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+from stereo_depth_ros.stereo_rig import StereoRig
 
 WIDTH, HEIGHT = 161, 120
 ORIGIN, STRAIGHT = np.zeros(3), np.eye(3)

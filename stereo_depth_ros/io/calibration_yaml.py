@@ -11,8 +11,8 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.stereo_rig import CameraModel
 from stereo_depth_ros.types import F64
 
 __all__ = ["read_camera", "write_camera"]

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.io.message_types import MessageTypes, make_header
-from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+from stereo_depth_ros.stereo_rig import StereoRig
 
 __all__ = ["camera_from_info", "camera_info_message", "rectified_camera_info"]
 

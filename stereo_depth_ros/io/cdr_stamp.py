@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The header stamp of a serialised message, read and replaced without decoding the rest."""
+"""The header stamp of a serialised message, read, replaced and spelled without decoding the rest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import struct
 
 from stereo_depth_ros.errors import MessageError
 
-__all__ = ["cdr_stamp_ns", "with_stamp"]
+__all__ = ["cdr_stamp_ns", "stamp_text", "with_stamp"]
 
 _NS = 1_000_000_000
 _HEADER_BYTES, _STAMP_END = 4, 12  # encapsulation, then sec and nanosec of the header that begins the message
@@ -32,6 +32,11 @@ def with_stamp(data: bytes, stamp_ns: int) -> bytes:
     """
     stamp = _stamp_format(data).pack(*divmod(stamp_ns, _NS))
     return b"".join((data[:_HEADER_BYTES], stamp, memoryview(data)[_STAMP_END:]))
+
+
+def stamp_text(stamp_ns: int) -> str:
+    """A stamp in seconds with all nine decimals, which a float does not hold."""
+    return f"{stamp_ns // _NS}.{stamp_ns % _NS:09d}"
 
 
 def _stamp_format(data: bytes) -> struct.Struct:

@@ -109,6 +109,7 @@ class StereoNode(Node):  # type: ignore[misc]
         for item in self._inputs:
             wanted = demand and item.wanted()
             if wanted and item.subscription is None:
+                item.received_before = -1  # silence is told after a whole interval without a message
                 with self.health.guard():
                     item.subscription = self._subscribe(item)
             elif not wanted and item.subscription is not None:

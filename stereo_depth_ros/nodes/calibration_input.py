@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -35,7 +36,7 @@ class CalibrationInput:
         self._waiting: deque[Callable[[StereoRig], None]] = deque()
         node.refuse_equal_topics(_LEFT, _RIGHT)
         for topic in (_LEFT, _RIGHT):
-            node.add_input(CameraInfo, topic, lambda message, topic=topic: self._receive(topic, message))
+            node.add_input(CameraInfo, topic, functools.partial(self._receive, topic))
 
     def with_rig(self, use: Callable[[StereoRig], None]) -> None:
         """Call ``use`` with the rig, now or as soon as it is known; dropped, and counted, while it is not valid.

@@ -15,7 +15,7 @@ from stereo_depth_ros.io.image_message import to_gray
 from stereo_depth_ros.io.result_messages import PayloadPool, match_message
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stereo_rig import StereoRig
 
@@ -41,9 +41,7 @@ class DisparityNode(StereoNode):
 
     def _match(self, left: Any, right: Any, rig: StereoRig) -> None:
         config = self.parameters.get(MatchingConfig)
-        frames = [decode_from(self, f"{eye}/image_rect", m) for eye, m in (("left", left), ("right", right))]
-        for eye, frame in zip(("left", "right"), frames, strict=True):
-            rig.check_image(frame.pixels.shape[1], frame.pixels.shape[0], self.resolve_topic_name(f"{eye}/image_rect"))
+        frames = [decode_eye(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
         with self.health.timed("match"):
             match = self._stage(config, rig).match(to_gray(frames[0]), to_gray(frames[1]))
         self._output.publish(match_message(self.types, self._pool, match, config, rig, frames[0]))

@@ -14,9 +14,10 @@ from stereo_depth_ros.io.image_message import decode
 from stereo_depth_ros.io.message_types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.pairing import StereoPairing
+from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import Frame
 
-__all__ = ["PairInput", "add_image_input", "decode_from"]
+__all__ = ["PairInput", "add_image_input", "decode_eye", "decode_from"]
 
 
 class PairInput:
@@ -78,3 +79,12 @@ def add_image_input(
 def decode_from(node: StereoNode, topic: str, message: Any) -> Frame:
     """The frame in an Image or CompressedImage; MessageError names the topic as it is in the graph."""
     return decode(message, node.resolve_topic_name(topic))
+
+
+def decode_eye(node: StereoNode, eye: str, topic: str, message: Any, rig: StereoRig) -> Frame:
+    """The frame of an eye ("left" or "right"); CalibrationError where it is not what the camera infos say."""
+    frame = decode_from(node, topic, message)
+    resolved = node.resolve_topic_name(topic)
+    rig.check_eye(eye, frame.frame_id, resolved)
+    rig.check_image(frame.pixels.shape[1], frame.pixels.shape[0], resolved)
+    return frame

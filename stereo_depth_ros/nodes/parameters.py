@@ -41,9 +41,10 @@ class NodeParameters:
         self._configs: dict[type, Any] = {}
         for config in configs:
             given = {i.name: overrides[i.name] for i in parameter_infos(config) if i.name in overrides}
-            self._configs[config] = replace_checked(config(), given)
+            checked = self._configs[config] = replace_checked(config(), given)
             for info in parameter_infos(config):
-                node.declare_parameter(info.name, info.default, _descriptor(info))
+                # The checked value: rclpy would refuse an override of 20 for a parameter of 20.0.
+                node.declare_parameter(info.name, getattr(checked, info.field), _descriptor(info), ignore_override=True)
         node.add_on_set_parameters_callback(self._on_set)
 
     def get(self, config: type[ConfigT]) -> ConfigT:

@@ -13,7 +13,7 @@ from stereo_depth_ros.io.image_message import image_message, to_gray
 from stereo_depth_ros.io.result_messages import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import add_image_input, decode_from
+from stereo_depth_ros.nodes.pair_input import add_image_input, decode_eye
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.rectification import Rectifier
 from stereo_depth_ros.stereo_rig import StereoRig
@@ -43,8 +43,7 @@ class RectifyNode(StereoNode):
         gray_output, color_output = self._eyes[eye]
         rectifier = self._rectifier(rig)
         rectify = rectifier.rectify_left if eye == "left" else rectifier.rectify_right
-        frame = decode_from(self, f"{eye}/image_raw", message)
-        rig.check_image(frame.pixels.shape[1], frame.pixels.shape[0], self.resolve_topic_name(f"{eye}/image_raw"))
+        frame = decode_eye(self, eye, f"{eye}/image_raw", message, rig)
         with self.health.timed(f"rectify {eye}"):
             for output, pixels, encoding in (
                 (gray_output, to_gray(frame) if gray_output.wanted else None, "mono8"),

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import array
 import functools
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -20,7 +20,7 @@ __all__ = ["RclpyTypes"]
 
 
 def _keeping_data(kind: Any, *, data: Any, **fields: Any) -> Any:
-    """A message that holds ``data`` itself: rclpy's setter keeps an array only with check_fields, its constructor copies."""
+    """A message that holds ``data`` itself: rclpy's constructor copies it, its setter with check_fields does not."""
     message = kind(check_fields=True, **fields)
     message.data = data
     return message
@@ -29,15 +29,16 @@ def _keeping_data(kind: Any, *, data: Any, **fields: Any) -> Any:
 class RclpyTypes:
     """MessageTypes over the installed ROS packages."""
 
-    Time: ClassVar[Any] = Time
-    Header: ClassVar[Any] = Header
-    Image: ClassVar[Any] = staticmethod(functools.partial(_keeping_data, Image))
-    CompressedImage: ClassVar[Any] = staticmethod(functools.partial(_keeping_data, CompressedImage))
-    CameraInfo: ClassVar[Any] = CameraInfo
-    RegionOfInterest: ClassVar[Any] = RegionOfInterest
-    PointField: ClassVar[Any] = PointField
-    PointCloud2: ClassVar[Any] = staticmethod(functools.partial(_keeping_data, PointCloud2))
-    DisparityImage: ClassVar[Any] = DisparityImage
+    def __init__(self) -> None:
+        self.Time: Any = Time
+        self.Header: Any = Header
+        self.Image: Any = functools.partial(_keeping_data, Image)
+        self.CompressedImage: Any = functools.partial(_keeping_data, CompressedImage)
+        self.CameraInfo: Any = CameraInfo
+        self.RegionOfInterest: Any = RegionOfInterest
+        self.PointField: Any = PointField
+        self.PointCloud2: Any = functools.partial(_keeping_data, PointCloud2)
+        self.DisparityImage: Any = DisparityImage
 
     def payload(self, nbytes: int) -> tuple[Any, U8]:
         """A zeroed uint8[] field and a writable uint8 (nbytes,) view on the same memory."""

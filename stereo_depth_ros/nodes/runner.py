@@ -12,7 +12,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
-from stereo_depth_ros.errors import StereoDepthError
+from stereo_depth_ros.errors import GraphError, StereoDepthError
 from stereo_depth_ros.transport import prepare_process
 
 __all__ = ["run"]
@@ -24,12 +24,12 @@ def run(make_node: Callable[[], Node]) -> int:
     """Make the node, spin it until a signal comes, shut down.
 
     Returns:
-        0 after SIGINT or SIGTERM, 1 where the node refuses its parameters or topics.
+        0 after SIGINT or SIGTERM, 1 where ROS refuses its arguments or the node its parameters or topics.
     """
     transport = prepare_process()
     node = None
     try:
-        rclpy.init()
+        _init()
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -49,3 +49,12 @@ def run(make_node: Callable[[], Node]) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _init() -> None:
+    try:
+        rclpy.init()
+    except RCLError as error:
+        raise GraphError(
+            f"ROS does not start: {error}: check what stands behind --ros-args, and ROS_DOMAIN_ID"
+        ) from error

@@ -15,7 +15,7 @@ from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, Pa
 from stereo_depth_ros.io.result_messages import ResultMessages
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.pipeline import StereoPipeline
 from stereo_depth_ros.stereo_rig import StereoRig
@@ -53,8 +53,8 @@ class StereoDepthNode(StereoNode):
         self._calibration.with_rig(lambda rig: self._process(left, right, rig))
 
     def _process(self, left: Any, right: Any, rig: StereoRig) -> None:
-        pair = StereoPair(decode_from(self, "left/image_raw", left), decode_from(self, "right/image_raw", right))
-        result = self._pipeline(self._config(), rig).process(pair)
+        frames = [decode_eye(self, e, f"{e}/image_raw", m, rig) for e, m in (("left", left), ("right", right))]
+        result = self._pipeline(self._config(), rig).process(StereoPair(*frames))
         for output, topic, build in self._made:
             if output.wanted:
                 start = time.perf_counter()

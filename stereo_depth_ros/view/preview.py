@@ -82,7 +82,7 @@ def legend_ticks(near_m: float, far_m: float, bar_px: int) -> list[float]:
     ticks: list[float] = []
     places: list[float] = []
     for tick in _round_values(near_m, far_m):
-        place = float(_nearness(np.float64(tick), near_m, far_m)) * bar_px
+        place = float(_nearness(tick, near_m, far_m)) * bar_px
         if all(abs(place - other) >= _TICK_GAP for other in places):
             ticks.append(tick)
             places.append(place)
@@ -112,7 +112,7 @@ def _depth_range(depth_m: F32) -> tuple[float, float]:
     return (near_m, far_m) if far_m > 1.02 * near_m else (0.9 * near_m, 1.1 * far_m)
 
 
-def _nearness(depth_m: np.ndarray[tuple[int, ...], np.dtype[np.floating]], near_m: float, far_m: float) -> F32:
+def _nearness(depth_m: F32 | float, near_m: float, far_m: float) -> F32:
     """0 at the far end of the scale, 1 at the near end, linear in 1 / Z."""
     scaled = (1 / depth_m - 1 / far_m) / (1 / near_m - 1 / far_m)
     return np.clip(scaled, 0.0, 1.0).astype(np.float32)
@@ -142,7 +142,7 @@ def _draw_legend(canvas: U8, x: int, top: int, height: int, near_m: float, far_m
     nearness = np.linspace(255, 0, height).astype(np.uint8)[:, None]
     canvas[top : top + height, x : x + _BAR_WIDTH] = cv2.applyColorMap(nearness, cv2.COLORMAP_TURBO)
     for tick in legend_ticks(near_m, far_m, height):
-        y = top + round((1 - float(_nearness(np.float64(tick), near_m, far_m))) * (height - 1))
+        y = top + round((1 - float(_nearness(tick, near_m, far_m))) * (height - 1))
         cv2.line(canvas, (x + _BAR_WIDTH, y), (x + _BAR_WIDTH + 4, y), _FAINT, 1)
         baseline = min(max(y + 5, top + 10), top + height)
         _text(canvas, f"{tick:g} m", (x + _BAR_WIDTH + 9, baseline), 0.45, _TEXT)

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import F32, U8, Frame
 
 __all__ = ["DatasetFrame", "StereoDataset", "check_sizes", "list_images", "read_frame", "read_image", "read_picture"]

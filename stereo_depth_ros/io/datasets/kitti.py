@@ -13,9 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import BagError
 from stereo_depth_ros.io.datasets import DatasetFrame, list_images, read_frame, read_image, read_picture
-from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import F32, F64
 
 __all__ = ["KittiDataset", "read_calibration", "rig_from_calibration"]

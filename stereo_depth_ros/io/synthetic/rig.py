@@ -15,7 +15,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.stereo_rig import CameraModel, StereoRig
+from stereo_depth_ros.camera_model import CameraModel
+from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import F64
 
 __all__ = ["CENTER_LEFT_RIGHT_M", "R_RIGHT_LEFT", "inside_raw_image", "product", "synthetic_rig", "turn"]

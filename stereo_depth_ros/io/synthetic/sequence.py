@@ -12,6 +12,7 @@ from typing import overload
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.io.synthetic.rays import SUPERSAMPLING, depth_and_shadow, pixel_rays, render
 from stereo_depth_ros.io.synthetic.rig import (
@@ -24,7 +25,6 @@ from stereo_depth_ros.io.synthetic.rig import (
 )
 from stereo_depth_ros.io.synthetic.scene import Scene, room_scene
 from stereo_depth_ros.parallel import run_bands
-from stereo_depth_ros.stereo_rig import CameraModel
 from stereo_depth_ros.types import F32, F64, U8, Frame, StereoPair
 
 __all__ = ["SyntheticFrame", "SyntheticSequence"]

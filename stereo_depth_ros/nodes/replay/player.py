@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 from stereo_depth_ros.bag_pairs import BagPairs, SerializedPair
 from stereo_depth_ros.errors import GraphError
+from stereo_depth_ros.io.cdr_stamp import stamp_text
 from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
 from stereo_depth_ros.nodes.replay.tracker import LostPair, PairTracker
 from stereo_depth_ros.replay_options import ReplayOptions
@@ -134,7 +135,7 @@ class Player:
             return
         reason = self._ports.complaints() or "the nodes complain of nothing"
         self._ports.warn(
-            f"pair {_seconds(pair.stamp_ns)}: {', '.join(pair.topics)} not there after {_LOST_AFTER_S:g} s: {reason}"
+            f"pair {stamp_text(pair.stamp_ns)}: {', '.join(pair.topics)} not there after {_LOST_AFTER_S:g} s: {reason}"
         )
         self._silent_pairs += pair.nothing_came
         if self._silent_pairs >= _MOST_SILENT_PAIRS:
@@ -160,8 +161,3 @@ class Player:
     def _spin(self, timeout_s: float) -> None:
         self._check()
         self._ports.spin(min(timeout_s, _SPIN_S))
-
-
-def _seconds(stamp_ns: int) -> str:
-    """A stamp in seconds with all its digits."""
-    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"

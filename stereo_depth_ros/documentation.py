@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes what is generated from config.py: the ROS parameter file and the README's table of parameters."""
+"""Writes what is generated from the code: the ROS parameter file, and the README's tables of parameters and files."""
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import json
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ from pathlib import Path
 from stereo_depth_ros.config import ParameterInfo, PipelineConfig, parameter_infos
 from stereo_depth_ros.errors import ConfigError
 
-__all__ = ["render_table", "render_yaml", "replace_section", "write_files"]
+__all__ = ["render_files", "render_table", "render_yaml", "replace_section", "write_files"]
 
 TYPE_NAMES = {bool: "bool", int: "int", float: "double", str: "string"}
 
@@ -42,6 +43,16 @@ def render_table() -> str:
     return "\n".join(rows)
 
 
+def render_files(root: str | Path) -> str:
+    """The Markdown list of all modules below the source tree ``root``: path and the first line of the docstring."""
+    lines = []
+    for path in sorted((Path(root) / "stereo_depth_ros").rglob("*.py")):
+        role = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n")[0]
+        if role:
+            lines.append(f"| `{path.relative_to(root).as_posix()}` | {role} |")
+    return "\n".join(["| file | role |", "| --- | --- |", *lines])
+
+
 def replace_section(text: str, name: str, body: str) -> str:
     """``text`` with what stands between ``<!-- name:begin -->`` and ``<!-- name:end -->`` replaced by ``body``.
 
@@ -59,14 +70,15 @@ def replace_section(text: str, name: str, body: str) -> str:
 
 
 def write_files(root: str | Path) -> None:
-    """Writes ``config/stereo_depth.yaml`` and the table in ``README.md`` of the source tree ``root``.
+    """Writes ``config/stereo_depth.yaml`` and the tables in ``README.md`` of the source tree ``root``.
 
     Raises:
-        ConfigError: the README has no place for the table.
+        ConfigError: the README has no place for the tables.
     """
     (Path(root) / "config" / "stereo_depth.yaml").write_text(render_yaml(), encoding="utf-8")
     readme = Path(root) / "README.md"
     text = replace_section(readme.read_text(encoding="utf-8"), "parameters", render_table())
+    text = replace_section(text, "files", render_files(root))
     readme.write_text(text, encoding="utf-8")
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter file and the README's table say what config.py says."""
+"""The parameter file and the README's tables say what the code says."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from stereo_depth_ros import parameter_files
+from stereo_depth_ros import documentation
 from stereo_depth_ros.config import ParameterInfo, PipelineConfig, parameter_infos
+from stereo_depth_ros.documentation import render_files, render_table, render_yaml, replace_section, write_files
 from stereo_depth_ros.errors import ConfigError
-from stereo_depth_ros.parameter_files import render_table, render_yaml, replace_section, write_files
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -26,6 +26,7 @@ def test_files_have_not_drifted() -> None:
     assert (ROOT / "config" / "stereo_depth.yaml").read_text("utf-8") == render_yaml(), "run `make config`"
     readme = (ROOT / "README.md").read_text("utf-8")
     assert replace_section(readme, "parameters", render_table()) == readme, "run `make config`"
+    assert replace_section(readme, "files", render_files(ROOT)) == readme, "run `make config`"
 
 
 def test_yaml_holds_every_default_with_its_type() -> None:
@@ -63,7 +64,7 @@ def test_table_has_one_row_a_parameter() -> None:
 
 def test_table_escapes_bars(monkeypatch: pytest.MonkeyPatch) -> None:
     info = ParameterInfo(name="a", field="a", type=int, default=1, doc="this | that")
-    monkeypatch.setattr(parameter_files, "parameter_infos", lambda stage: [info])
+    monkeypatch.setattr(documentation, "parameter_infos", lambda stage: [info])
     assert "| this \\| that |" in render_table()
 
 
@@ -88,9 +89,16 @@ def test_replace_section_wants_one_pair_of_markers(text: str) -> None:
         replace_section(text, "x", "new")
 
 
+README = "# R\n<!-- parameters:begin -->\n<!-- parameters:end -->\n<!-- files:begin -->\n<!-- files:end -->\n"
+
+
 def test_write_files(tmp_path: Path) -> None:
     (tmp_path / "config").mkdir()
-    (tmp_path / "README.md").write_text("# R\n<!-- parameters:begin -->\n<!-- parameters:end -->\n")
+    (tmp_path / "README.md").write_text(README)
+    (tmp_path / "stereo_depth_ros").mkdir()
+    (tmp_path / "stereo_depth_ros" / "one.py").write_text('"""Says one thing.\n\nMore of it."""\n')
     write_files(tmp_path)
     assert (tmp_path / "config" / "stereo_depth.yaml").read_text() == render_yaml()
-    assert render_table() in (tmp_path / "README.md").read_text()
+    readme = (tmp_path / "README.md").read_text()
+    assert render_table() in readme
+    assert "| `stereo_depth_ros/one.py` | Says one thing. |" in readme

@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small stereo bags for tests, made from a synthetic sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+
+from stereo_depth_ros.io.bag_reader import BagReader
+from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.io.camera_info_message import camera_info_message
+from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
+from stereo_depth_ros.io.image_message import compressed_message, image_message
+from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.io.synthetic.bag import write_synthetic_bag
+from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+
+WIDTH, HEIGHT = 200, 150
+PARAMETERS = {"disparity_range": 32, "correlation_window_size": 9, "speckle_size": 20}
+
+
+def sequence(frames: int) -> SyntheticSequence:
+    """Frames every 100 ms."""
+    return SyntheticSequence(frames, WIDTH, HEIGHT)
+
+
+def write_truth_bag(path: Path, frames: int) -> SyntheticSequence:
+    """Raw pairs and their truth."""
+    made = sequence(frames)
+    write_synthetic_bag(path, made)
+    return made
+
+
+def write_odd_bag(
+    path: Path, frames: int, *, compressed: bool = False, without_right: Collection[int] = (), right_late_ns: int = 0
+) -> None:
+    """Topics of other names, one camera info for the whole bag, images that lack a partner, right eyes that are late."""
+    made, types = sequence(frames), RosbagsTypes()
+    name = "image/compressed" if compressed else "image"
+    with BagWriter(path) as bag:
+        for eye, camera in (("cam0", made.rig.left), ("cam1", made.rig.right)):
+            bag.write(f"/{eye}/camera_info", camera_info_message(types, camera, 0), made.stamp_ns(0))
+        for index, frame in enumerate(made):
+            for eye, image in (("cam0", frame.pair.left), ("cam1", frame.pair.right)):
+                if eye == "cam1" and index in without_right:
+                    continue
+                stamp_ns = image.stamp_ns + (right_late_ns if eye == "cam1" else 0)
+                if compressed:
+                    message = compressed_message(types, image.pixels, "mono8", "png", stamp_ns, image.frame_id)
+                else:
+                    message = image_message(types, image.pixels, "mono8", stamp_ns, image.frame_id)
+                bag.write(f"/{eye}/{name}", message, image.stamp_ns)
+
+
+def cut(path: Path, target: Path, share: float) -> Path:
+    """The first part of a file."""
+    data = path.read_bytes()
+    target.write_bytes(data[: int(share * len(data))])
+    return target
+
+
+def messages_of(path: Path, topic: str) -> dict[int, bytes]:
+    """CDR bytes by stamp; fails where a stamp comes twice."""
+    with BagReader(path) as reader:
+        found = [(cdr_stamp_ns(message.data), message.data) for message in reader.messages([topic])]
+    assert len(dict(found)) == len(found), f"a stamp comes twice on {topic}"
+    return dict(found)
+
+
+def median_relative_depth_error(path: Path, made: SyntheticSequence) -> float:
+    """Of the depth images of a bag against the truth of the sequence of the same stamps."""
+    errors = []
+    truths = {made.stamp_ns(index): made[index].truth_depth_m for index in range(len(made))}
+    with BagReader(path) as reader:
+        for message in reader.messages(["/depth/image_rect"]):
+            image = reader.deserialize(message)
+            assert image.encoding == "32FC1"
+            depth_m = image.data.view(np.float32).reshape(image.height, image.width)
+            truth_m = truths[cdr_stamp_ns(message.data)]
+            errors.append((np.abs(depth_m - truth_m) / truth_m)[np.isfinite(depth_m)])
+    return float(np.median(np.concatenate(errors)))

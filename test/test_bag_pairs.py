@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Serialised pairs of a bag: pairing, camera infos, shifts of stamps, parts of a bag, errors."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+from stereo_bags import cut, sequence, write_odd_bag, write_truth_bag
+
+from stereo_depth_ros.bag_pairs import BagPairs, BagSelection
+from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.errors import BagError, ConfigError, MessageError, TopicError
+from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns, with_stamp
+from stereo_depth_ros.io.image_message import image_message
+from stereo_depth_ros.io.message_types import RosbagsTypes
+
+EXACT = PairingConfig()
+
+
+@pytest.fixture(scope="module")
+def odd_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bags") / "odd.mcap"
+    write_odd_bag(path, 5, without_right=(1, 4))
+    return path
+
+
+def test_pairs_have_equal_stamps_and_infos_stamped_as_their_images(odd_bag: Path) -> None:
+    with BagPairs(BagSelection(odd_bag), EXACT) as bag:
+        pairs = list(bag.pairs())
+        assert (bag.topics.left_image, bag.topics.right_image) == ("/cam0/image", "/cam1/image")
+        assert (bag.unpaired_left, bag.unpaired_right) == (2, 0)
+    made = sequence(5)
+    assert [pair.stamp_ns for pair in pairs] == [made.stamp_ns(index) for index in (0, 2, 3)]
+    for pair in pairs:
+        stamps = [cdr_stamp_ns(data) for data in (pair.left, pair.right, pair.left_info, pair.right_info)]
+        assert stamps == [pair.stamp_ns] * 4
+    types = RosbagsTypes()
+    info = types.deserialize(pairs[2].right_info, "sensor_msgs/msg/CameraInfo")
+    assert info.p[3] == pytest.approx(made.rig.right.P[0, 3]), "the only info of the bag, at its beginning"
+
+
+def test_part_of_a_bag_by_seconds(odd_bag: Path) -> None:
+    with BagPairs(BagSelection(odd_bag, start_seconds=0.15, duration_seconds=0.1), EXACT) as bag:
+        assert [pair.stamp_ns for pair in bag.pairs()] == [sequence(5).stamp_ns(2)]
+
+
+def test_late_right_images_need_approximate_pairing(tmp_path: Path) -> None:
+    path = tmp_path / "late.mcap"
+    write_odd_bag(path, 3, right_late_ns=3_000_000)
+    with BagPairs(BagSelection(path), EXACT) as bag:
+        assert list(bag.pairs()) == []
+        assert (bag.unpaired_left, bag.unpaired_right) == (3, 3)
+    near = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=0.01)
+    with BagPairs(BagSelection(path), near) as bag:
+        pairs = list(bag.pairs())
+    assert [pair.right_stamp_ns - pair.stamp_ns for pair in pairs] == [3_000_000] * 3
+    assert cdr_stamp_ns(pairs[0].right_info) == pairs[0].right_stamp_ns
+
+
+def test_shifted_pair_differs_in_its_stamps_only(odd_bag: Path) -> None:
+    with BagPairs(BagSelection(odd_bag), EXACT) as bag:
+        pair = next(bag.pairs())
+    shifted = pair.shifted(2_500_000_000)
+    assert shifted.stamp_ns == pair.stamp_ns + 2_500_000_000
+    for name in ("left", "right", "left_info", "right_info"):
+        before, after = getattr(pair, name), getattr(shifted, name)
+        assert cdr_stamp_ns(after) - cdr_stamp_ns(before) == 2_500_000_000
+        assert after[:4] + after[12:] == before[:4] + before[12:]
+
+
+def test_stamp_of_both_byte_orders() -> None:
+    little = b"\x00\x01\x00\x00" + struct.pack("<iI", 7, 500_000_001) + b"rest"
+    big = b"\x00\x00\x00\x00" + struct.pack(">iI", 7, 500_000_001) + b"rest"
+    assert cdr_stamp_ns(little) == cdr_stamp_ns(big) == 7_500_000_001
+    assert with_stamp(big, 3_000_000_002) == b"\x00\x00\x00\x00" + struct.pack(">iI", 3, 2) + b"rest"
+    with pytest.raises(MessageError, match="11 bytes, a header stamp ends at byte 12"):
+        cdr_stamp_ns(little[:11])
+
+
+def test_cut_bag_gives_the_pairs_before_the_cut(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.mcap"
+    write_truth_bag(whole, 4)
+    with BagPairs(BagSelection(whole), EXACT) as bag:
+        all_pairs = list(bag.pairs())
+        assert bag.warning == ""
+    with BagWriter(tmp_path / "chunks.mcap", compression="none", chunk_size=200_000) as writer:
+        from stereo_depth_ros.io.bag_reader import BagReader
+
+        with BagReader(whole) as reader:
+            for message in reader.messages():
+                writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+    with BagPairs(BagSelection(cut(tmp_path / "chunks.mcap", tmp_path / "cut.mcap", 0.6)), EXACT) as bag:
+        pairs = list(bag.pairs())
+        assert "cut in the middle" in bag.warning
+    assert 1 <= len(pairs) < 4
+    assert pairs == all_pairs[: len(pairs)]
+
+
+def test_bag_without_stereo_names_bag_and_topics(tmp_path: Path) -> None:
+    path, types = tmp_path / "mono.mcap", RosbagsTypes()
+    with BagWriter(path) as bag:
+        bag.write("/cam/image", image_message(types, sequence(1)[0].pair.left.pixels, "mono8", 5, "cam"), 5)
+    with pytest.raises(TopicError, match=r"mono\.mcap: no stereo pair among the image topics /cam/image"):
+        BagPairs(BagSelection(path), EXACT)
+
+
+def test_bag_without_camera_infos_is_refused(tmp_path: Path) -> None:
+    path, types, frame = tmp_path / "bare.mcap", RosbagsTypes(), sequence(1)[0]
+    with BagWriter(path) as bag:
+        for eye in ("left", "right"):
+            bag.write(f"/{eye}/image", image_message(types, frame.pair.left.pixels, "mono8", 5, eye), 5)
+    with pytest.raises(TopicError, match="no CameraInfo belongs to /left/image.*record the camera infos too"):
+        BagPairs(BagSelection(path), EXACT)
+
+
+def test_missing_bag_and_impossible_part_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="does not exist"):
+        BagPairs(BagSelection(tmp_path / "none.mcap"), EXACT)
+    with pytest.raises(ConfigError, match=r"start_seconds = -1\.0 is outside 0\.\.1e9 s"):
+        BagSelection(tmp_path, start_seconds=-1.0)

@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags through live nodes: every pair once, the bytes of the offline engine, and what is said when something is missing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from stereo_bags import (
+    PARAMETERS,
+    cut,
+    median_relative_depth_error,
+    messages_of,
+    sequence,
+    write_odd_bag,
+    write_truth_bag,
+)
+
+from stereo_depth_ros.bag_pairs import BagSelection
+from stereo_depth_ros.errors import GraphError, TopicError
+from stereo_depth_ros.graph_runner import SHAPES, GraphProcesses
+from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.io.image_message import image_message
+from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.offline import process_bag
+from stereo_depth_ros.parameter_values import pipeline_config
+from stereo_depth_ros.replay_options import ReplayOptions
+
+pytestmark = pytest.mark.graph
+
+FRAMES = 4
+CONFIG = pipeline_config(PARAMETERS)
+IMAGES = ("/left/image_rect", "/left/image_rect_color", "/right/image_rect")
+SAME_BYTES = (*IMAGES, "/disparity", "/depth/image_rect", "/points2")
+OUTPUTS = (*SAME_BYTES, "/depth/camera_info")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_domain() -> Iterator[None]:
+    """A ROS domain of these tests, on this machine only."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", "63")
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        yield
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("replay") / "in.mcap"
+    write_truth_bag(path, FRAMES)
+    return path
+
+
+@pytest.fixture(scope="module")
+def graph(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[GraphProcesses]:
+    with GraphProcesses("fused", PARAMETERS, tmp_path_factory.mktemp("logs")) as processes:
+        yield processes
+
+
+def assert_equal_messages(path: Path, other: Path, topics: tuple[str, ...]) -> None:
+    for topic in topics:
+        assert messages_of(path, topic) == messages_of(other, topic), f"{topic} differs"
+
+
+def test_fused_gives_every_pair_once_with_the_bytes_of_the_offline_engine(
+    graph: GraphProcesses, bag: Path, tmp_path: Path
+) -> None:
+    from stereo_depth_ros.nodes.replay_node import replay
+
+    calls: list[tuple[int, int]] = []
+    options = ReplayOptions(bag=str(bag), output=str(tmp_path / "live.mcap"))
+    result = replay(options, lambda sent, total: calls.append((sent, total)), graph.check, CONFIG)
+    process_bag(BagSelection(bag), tmp_path / "offline.mcap", CONFIG)
+
+    assert calls == [(n, FRAMES) for n in range(1, FRAMES + 1)]
+    assert (result.pairs, result.lost, result.warnings) == (FRAMES, 0, ())
+    assert {stats.received for stats in result.outputs.values()} == {FRAMES}
+    assert all(0 < ms < 10_000 for stats in result.outputs.values() for ms in stats.latencies_ms)
+    made = sequence(FRAMES)
+    for topic in OUTPUTS:
+        stamps = list(messages_of(tmp_path / "live.mcap", topic))
+        assert stamps == [made.stamp_ns(index) for index in range(FRAMES)], topic
+    assert_equal_messages(tmp_path / "live.mcap", tmp_path / "offline.mcap", SAME_BYTES)
+    # 1/8 px of the 4 to 8 px that this small rig has at 2 to 4 m is 3 %
+    assert median_relative_depth_error(tmp_path / "live.mcap", made) < 0.03
+    assert result.score is not None and result.score.truth_frames == FRAMES
+    assert result.score.median_px < 0.25
+    assert any(stage.endswith(": match") for stage in result.stages_ms)
+
+
+def test_rounds_of_a_loop_are_stamped_later_and_equal_otherwise(
+    graph: GraphProcesses, bag: Path, tmp_path: Path
+) -> None:
+    from stereo_depth_ros.nodes.replay_node import replay
+
+    options = ReplayOptions(bag=str(bag), output=str(tmp_path / "loop.mcap"), loop=3, in_flight=2, clock=True)
+    result = replay(options, check=graph.check, config=CONFIG)
+    assert (result.pairs, result.lost) == (3 * FRAMES, 0)
+    found = messages_of(tmp_path / "loop.mcap", "/disparity")
+    stamps = sorted(found)
+    assert {later - earlier for earlier, later in zip(stamps, stamps[1:], strict=False)} == {100_000_000}
+    contents = [found[stamp][12:] for stamp in stamps]
+    # the DisparityImage holds the stamp twice, so compare what follows both: the pixels
+    pixels = [data[-60_000:] for data in contents]
+    assert pixels[:FRAMES] == pixels[FRAMES : 2 * FRAMES] == pixels[2 * FRAMES :]
+
+
+def test_cut_bag_is_played_to_the_cut_and_said_so(graph: GraphProcesses, bag: Path, tmp_path: Path) -> None:
+    from stereo_depth_ros.io.bag_reader import BagReader
+    from stereo_depth_ros.nodes.replay_node import replay
+
+    with BagReader(bag) as reader, BagWriter(tmp_path / "whole.mcap", compression="none", chunk_size=100_000) as writer:
+        for message in reader.messages():
+            writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+    path = cut(tmp_path / "whole.mcap", tmp_path / "cut.mcap", 0.6)
+    result = replay(ReplayOptions(bag=str(path)), check=graph.check, config=CONFIG)
+    assert 1 <= result.pairs < FRAMES
+    assert result.lost == 0
+    assert result.score is None, "nothing was recorded"
+    assert any("cut in the middle" in text for text in result.warnings)
+
+
+def test_realtime_sends_by_the_clock(graph: GraphProcesses, bag: Path) -> None:
+    from stereo_depth_ros.nodes.replay_node import replay
+
+    options = ReplayOptions(bag=str(bag), realtime=True, rate=0.5, duration_seconds=0.25)
+    result = replay(options, check=graph.check, config=CONFIG)
+    assert result.pairs == 3
+    # the third pair is due 0.2 s / 0.5 after the first
+    assert 0.4 <= result.wall_s < 2.0
+
+
+def test_replay_node_plays_with_ros_parameters_and_ends_with_0(
+    graph: GraphProcesses, bag: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "node.mcap"
+    command = [sys.executable, "-m", "stereo_depth_ros.nodes.replay_node", "--ros-args"]
+    command += ["-p", f"bag:={bag}", "-p", f"output:={output}", "-p", "duration_seconds:=0.15"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "2 pairs of" in done.stderr
+    assert len(messages_of(output, "/points2")) == 2
+
+
+def test_replay_node_refuses_to_play_nothing() -> None:
+    command = [sys.executable, "-m", "stereo_depth_ros.nodes.replay_node"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "parameter bag is empty" in done.stderr
+
+
+def test_separate_nodes_give_the_bytes_of_the_offline_engine_from_a_compressed_bag(tmp_path: Path) -> None:
+    from stereo_depth_ros.nodes.replay.live import replay_through_graph
+
+    write_odd_bag(tmp_path / "in.mcap", 3, compressed=True, without_right=(1,))
+    options = ReplayOptions(bag=str(tmp_path / "in.mcap"), output=str(tmp_path / "live.mcap"))
+    result = replay_through_graph(options, "separate", PARAMETERS, CONFIG, lambda sent, total: None)
+    process_bag(options.selection, tmp_path / "offline.mcap", CONFIG)
+    assert (result.pairs, result.lost, result.unpaired_left, result.unpaired_right) == (2, 0, 1, 0)
+    made = sequence(3)
+    assert sorted(messages_of(tmp_path / "live.mcap", "/disparity")) == [made.stamp_ns(0), made.stamp_ns(2)]
+    assert_equal_messages(tmp_path / "live.mcap", tmp_path / "offline.mcap", SAME_BYTES)
+
+
+def test_without_nodes_the_topics_that_nobody_serves_are_named(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from stereo_depth_ros.nodes.replay import player
+    from stereo_depth_ros.nodes.replay_node import replay
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", "64")
+    monkeypatch.setattr(player, "_GRAPH_TIMEOUT_S", 0.5)
+    with pytest.raises(GraphError, match=r"/left/image_raw has no subscriber.*/points2 has no publisher after 0\.5 s"):
+        replay(ReplayOptions(bag=str(bag)), config=CONFIG)
+
+
+def test_node_that_ends_is_named_with_the_end_of_its_log(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from stereo_depth_ros.nodes.replay.live import replay_through_graph
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", "64")
+    with pytest.raises(GraphError, match=r"(?s)stereo_depth_node ended with exit code 1.*disparity_rang"):
+        replay_through_graph(ReplayOptions(bag=str(bag)), "fused", {"disparity_rang": 32}, CONFIG, lambda *_: None)
+
+
+def test_pairs_that_nothing_comes_of_are_lost_with_the_reason_of_the_node(
+    graph: GraphProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from stereo_depth_ros.nodes.replay import player
+    from stereo_depth_ros.nodes.replay_node import replay
+
+    monkeypatch.setattr(player, "_LOST_AFTER_S", 1.2)  # longer than the second between two diagnostics
+    write_truth_bag(tmp_path / "in.mcap", 3)
+    shrunk = tmp_path / "shrunk.mcap"
+    _with_smaller_images(tmp_path / "in.mcap", shrunk)
+    with pytest.raises(GraphError, match=r"no output for 3 pairs in a row.*the image is 200x148"):
+        replay(ReplayOptions(bag=str(shrunk)), check=graph.check, config=CONFIG)
+
+
+def _with_smaller_images(path: Path, target: Path) -> None:
+    """The same bag, its images two rows less high than their camera infos say."""
+    from stereo_depth_ros.io.bag_reader import BagReader
+
+    types, made = RosbagsTypes(), sequence(3)
+    with BagReader(path) as reader, BagWriter(target) as writer:
+        for message in reader.messages([f"/{eye}/camera_info" for eye in ("left", "right")]):
+            writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+        for frame in made:
+            for eye, image in (("left", frame.pair.left), ("right", frame.pair.right)):
+                small = image_message(types, image.pixels[:-2], "mono8", image.stamp_ns, image.frame_id)
+                writer.write(f"/{eye}/image_raw", small, image.stamp_ns)
+
+
+def test_bag_without_stereo_is_refused_before_any_node_starts(tmp_path: Path) -> None:
+    from stereo_depth_ros.nodes.replay.live import replay_through_graph
+
+    types = RosbagsTypes()
+    with BagWriter(tmp_path / "mono.mcap") as writer:
+        writer.write("/cam/image", image_message(types, sequence(1)[0].pair.left.pixels, "mono8", 5, "cam"), 5)
+    with pytest.raises(TopicError, match="no stereo pair"):
+        replay_through_graph(
+            ReplayOptions(bag=str(tmp_path / "mono.mcap")), "fused", {}, CONFIG, lambda sent, total: None
+        )
+
+
+def test_all_nodes_end_with_0_when_they_are_stopped(own_domain: None, tmp_path: Path) -> None:
+    import time
+
+    with GraphProcesses("separate", PARAMETERS, tmp_path) as processes:
+        logs = [processes.log(node) for node in SHAPES["separate"]]
+        end = time.monotonic() + 20
+        while not all("ready" in log.read_text() for log in logs):
+            assert time.monotonic() < end, "not every node said that it is ready within 20 s"
+            processes.check()
+            time.sleep(0.1)
+        assert processes.stop() == dict.fromkeys(SHAPES["separate"], 0)
+
+
+def test_unknown_shape_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(GraphError, match="shape 'round' is none of fused, separate"):
+        GraphProcesses("round", {}, tmp_path)
