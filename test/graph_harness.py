@@ -170,13 +170,13 @@ class Graph:
             )
         return self._publishers[topic]
 
-    def send(self, messages: Mapping[str, Any]) -> None:
-        """Publishes by topic, in this order, once every topic has a subscriber."""
-        publishers = {topic: self.advertise(topic, type(message)) for topic, message in messages.items()}
-        for topic, publisher in publishers.items():
-            self.wait(publisher.get_subscription_count, f"subscription of {topic}")
+    def send(self, messages: Mapping[str, Any], subscribers: int = 1) -> None:
+        """Publishes by topic, in this order, once every topic has that many subscribers."""
         for topic, message in messages.items():
-            publishers[topic].publish(message)
+            publisher = self.advertise(topic, type(message))
+            self.wait(lambda p=publisher: p.get_subscription_count() >= subscribers, f"subscription of {topic}")
+        for topic, message in messages.items():
+            self._publishers[topic].publish(message)
 
     def subscriptions(self, *topics: str) -> list[int]:
         """Number of subscriptions of each topic."""
@@ -262,13 +262,18 @@ class NodeProcess:
         """Waits for its line `ready`."""
         end = time.monotonic() + timeout_s
         while "ready" not in self.text:
-            if self._process.poll() is not None or time.monotonic() > end:
+            if not self.running or time.monotonic() > end:
                 pytest.fail(f"{self.node} is not ready within {timeout_s:g} s: {self.text}")
             time.sleep(0.05)
 
     def signal(self, number: signal.Signals) -> None:
         """Sends it a signal."""
         self._process.send_signal(number)
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
 
     def exit_code(self, timeout_s: float = 60.0) -> int:
         """Waits for its end."""
