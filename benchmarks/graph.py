@@ -47,6 +47,7 @@ NODES = {
     "separate": ("rectify_node", "disparity_node", "point_cloud_node"),
 }
 TIMEOUT_S = 20.0
+SETTLE_S = 1.0  # both ends of each link must have found the other before a best-effort message goes through
 
 
 @dataclass
@@ -106,6 +107,9 @@ class Harness:
             if time.monotonic() > deadline:
                 missing = [t for t, p in self._publishers.items() if not p.get_subscription_count()]
                 raise TimeoutError(f"nobody subscribed {missing} within {TIMEOUT_S:g} s")
+            self._executor.spin_once(timeout_sec=0.1)
+        settled = time.monotonic() + SETTLE_S
+        while time.monotonic() < settled:
             self._executor.spin_once(timeout_sec=0.1)
 
     def messages(self) -> dict[str, bytes]:
@@ -182,7 +186,7 @@ def _opencv_matcher(matcher: str, disparities: int) -> cv2.StereoMatcher:
 
 
 @contextmanager
-def graph(shape: str, matcher: str, disparities: int) -> Iterator[None]:
+def graph_processes(shape: str, matcher: str, disparities: int) -> Iterator[list[subprocess.Popen[bytes]]]:
     """The nodes of a shape, each a process."""
     parameters = {"stereo_algorithm": ("bm", "sgbm").index(matcher), "disparity_range": disparities}
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
@@ -191,7 +195,7 @@ def graph(shape: str, matcher: str, disparities: int) -> Iterator[None]:
         for node in NODES[shape]
     ]
     try:
-        yield
+        yield processes
     finally:
         for process in processes:
             process.send_signal(signal.SIGINT)
@@ -203,7 +207,7 @@ def measure(size: tuple[int, int, int], matcher: str, shape: str, frames: int, i
     width, height, disparities = size
     sequence = SyntheticSequence(frames=1, width=width, height=height)
     kernels = bare_kernels(sequence[0].pair, matcher, disparities)
-    with graph(shape, matcher, disparities):
+    with graph_processes(shape, matcher, disparities):
         harness = Harness(sequence, typed)
         try:
             harness.wait_for_graph()

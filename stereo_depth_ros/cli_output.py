@@ -24,7 +24,7 @@ messages = Console(stderr=True, highlight=False, soft_wrap=True)
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """A bar while the block lasts; call what it gives with the number done and the number to do."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=messages, transient=True) as progress:
+    with Progress(*columns, console=messages, transient=True, disable=not messages.is_terminal) as progress:
         task = progress.add_task(title, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 

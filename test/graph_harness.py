@@ -33,7 +33,7 @@ from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence  # noqa: E4
 from stereo_depth_ros.nodes.ros_types import RclpyTypes  # noqa: E402
 from stereo_depth_ros.types import U8  # noqa: E402
 
-__all__ = ["NS_PER_S", "Graph", "NodeProcess", "StereoCamera", "image_pixels", "ros_arguments"]
+__all__ = ["NS_PER_S", "Graph", "NodeProcess", "StereoCamera", "image_pixels", "parameter_value", "ros_arguments"]
 
 NS_PER_S = 10**9
 TIMEOUT_S = 15.0

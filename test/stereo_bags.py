@@ -12,7 +12,7 @@ import numpy as np
 from stereo_depth_ros.io.bag_reader import BagReader
 from stereo_depth_ros.io.bag_writer import BagWriter
 from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
+from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns, with_stamp
 from stereo_depth_ros.io.image_message import compressed_message, image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
 from stereo_depth_ros.io.synthetic.bag import write_synthetic_bag
@@ -37,7 +37,7 @@ def write_truth_bag(path: Path, frames: int) -> SyntheticSequence:
 def write_odd_bag(
     path: Path, frames: int, *, compressed: bool = False, without_right: Collection[int] = (), right_late_ns: int = 0
 ) -> None:
-    """Topics of other names, one camera info for the whole bag, images that lack a partner, right eyes that are late."""
+    """Topics of other names, one camera info for the whole bag, images without a partner, right eyes that are late."""
     made, types = sequence(frames), RosbagsTypes()
     name = "image/compressed" if compressed else "image"
     with BagWriter(path) as bag:
@@ -53,6 +53,16 @@ def write_odd_bag(
                 else:
                     message = image_message(types, image.pixels, "mono8", stamp_ns, image.frame_id)
                 bag.write(f"/{eye}/{name}", message, image.stamp_ns)
+
+
+def later(path: Path, target: Path, seconds: int) -> Path:
+    """The same bag, all of it so many seconds later: nodes that go on running take its stamps for new ones."""
+    with BagReader(path) as reader, BagWriter(target, compression="none", chunk_size=100_000) as writer:
+        for message in reader.messages():
+            stamp_ns = cdr_stamp_ns(message.data) + seconds * 10**9
+            log_time_ns = message.log_time_ns + seconds * 10**9
+            writer.write_raw(message.topic, message.msgtype, with_stamp(message.data, stamp_ns), log_time_ns)
+    return target
 
 
 def cut(path: Path, target: Path, share: float) -> Path:

@@ -94,8 +94,8 @@ def test_swapped_images_are_refused(frame: SyntheticFrame) -> None:
 
 
 def test_margins_that_the_raw_cameras_did_not_see_have_no_disparity(frame: SyntheticFrame) -> None:
-    """Both eyes turned by 8 degrees about the baseline: still a rectified pair, with a black margin above or below."""
-    angle = np.deg2rad(8.0)
+    """Both eyes turned by 16 degrees about the baseline: still a rectified pair, with a black margin above or below."""
+    angle = np.deg2rad(16.0)
     turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
     left, right = (dataclasses.replace(eye, R=turn @ eye.R) for eye in (SEQUENCE.rig.left, SEQUENCE.rig.right))
     rig = dataclasses.replace(SEQUENCE.rig, left=left, right=right)

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags through live nodes: every pair once, the bytes of the offline engine, and what is said when something is missing."""
+"""Bags through live nodes: every pair once, the bytes of the offline engine, and what is said when one is missing."""
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import pytest
 from stereo_bags import (
     PARAMETERS,
     cut,
+    later,
     median_relative_depth_error,
     messages_of,
     sequence,
@@ -24,6 +26,7 @@ from stereo_depth_ros.bag_pairs import BagSelection
 from stereo_depth_ros.errors import GraphError, TopicError
 from stereo_depth_ros.graph_runner import SHAPES, GraphProcesses
 from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.io.camera_info_message import camera_info_message
 from stereo_depth_ros.io.image_message import image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
 from stereo_depth_ros.offline import process_bag
@@ -59,6 +62,18 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def graph(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[GraphProcesses]:
     with GraphProcesses("fused", PARAMETERS, tmp_path_factory.mktemp("logs")) as processes:
         yield processes
+
+
+def write_with_smaller_images(path: Path) -> None:
+    """Three pairs whose images are two rows less high than their camera infos say."""
+    types, made = RosbagsTypes(), sequence(3)
+    with BagWriter(path) as writer:
+        for frame in made:
+            eyes = (("left", frame.pair.left, made.rig.left), ("right", frame.pair.right, made.rig.right))
+            for eye, image, camera in eyes:
+                small = image_message(types, image.pixels[:-2], "mono8", image.stamp_ns, image.frame_id)
+                writer.write(f"/{eye}/camera_info", camera_info_message(types, camera, image.stamp_ns), image.stamp_ns)
+                writer.write(f"/{eye}/image_raw", small, image.stamp_ns)
 
 
 def assert_equal_messages(path: Path, other: Path, topics: tuple[str, ...]) -> None:
@@ -97,26 +112,21 @@ def test_rounds_of_a_loop_are_stamped_later_and_equal_otherwise(
 ) -> None:
     from stereo_depth_ros.nodes.replay_node import replay
 
-    options = ReplayOptions(bag=str(bag), output=str(tmp_path / "loop.mcap"), loop=3, in_flight=2, clock=True)
+    path = later(bag, tmp_path / "in.mcap", seconds=10)
+    options = ReplayOptions(bag=str(path), output=str(tmp_path / "loop.mcap"), loop=3, in_flight=2, clock=True)
     result = replay(options, check=graph.check, config=CONFIG)
     assert (result.pairs, result.lost) == (3 * FRAMES, 0)
     found = messages_of(tmp_path / "loop.mcap", "/disparity")
     stamps = sorted(found)
-    assert {later - earlier for earlier, later in zip(stamps, stamps[1:], strict=False)} == {100_000_000}
-    contents = [found[stamp][12:] for stamp in stamps]
-    # the DisparityImage holds the stamp twice, so compare what follows both: the pixels
-    pixels = [data[-60_000:] for data in contents]
+    assert {after - before for before, after in itertools.pairwise(stamps)} == {100_000_000}
+    pixels = [found[stamp][-60_000:] for stamp in stamps]  # before them each message holds its stamp, twice
     assert pixels[:FRAMES] == pixels[FRAMES : 2 * FRAMES] == pixels[2 * FRAMES :]
 
 
 def test_cut_bag_is_played_to_the_cut_and_said_so(graph: GraphProcesses, bag: Path, tmp_path: Path) -> None:
-    from stereo_depth_ros.io.bag_reader import BagReader
     from stereo_depth_ros.nodes.replay_node import replay
 
-    with BagReader(bag) as reader, BagWriter(tmp_path / "whole.mcap", compression="none", chunk_size=100_000) as writer:
-        for message in reader.messages():
-            writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
-    path = cut(tmp_path / "whole.mcap", tmp_path / "cut.mcap", 0.6)
+    path = cut(later(bag, tmp_path / "whole.mcap", seconds=20), tmp_path / "cut.mcap", 0.6)
     result = replay(ReplayOptions(bag=str(path)), check=graph.check, config=CONFIG)
     assert 1 <= result.pairs < FRAMES
     assert result.lost == 0
@@ -124,22 +134,23 @@ def test_cut_bag_is_played_to_the_cut_and_said_so(graph: GraphProcesses, bag: Pa
     assert any("cut in the middle" in text for text in result.warnings)
 
 
-def test_realtime_sends_by_the_clock(graph: GraphProcesses, bag: Path) -> None:
+def test_realtime_sends_by_the_clock(graph: GraphProcesses, bag: Path, tmp_path: Path) -> None:
     from stereo_depth_ros.nodes.replay_node import replay
 
-    options = ReplayOptions(bag=str(bag), realtime=True, rate=0.5, duration_seconds=0.25)
+    path = later(bag, tmp_path / "in.mcap", seconds=30)
+    options = ReplayOptions(bag=str(path), realtime=True, rate=0.5, duration_seconds=0.25)
     result = replay(options, check=graph.check, config=CONFIG)
     assert result.pairs == 3
     # the third pair is due 0.2 s / 0.5 after the first
-    assert 0.4 <= result.wall_s < 2.0
+    assert 0.4 <= result.wall_s < 3.0
 
 
 def test_replay_node_plays_with_ros_parameters_and_ends_with_0(
     graph: GraphProcesses, bag: Path, tmp_path: Path
 ) -> None:
-    output = tmp_path / "node.mcap"
+    path, output = later(bag, tmp_path / "in.mcap", seconds=40), tmp_path / "node.mcap"
     command = [sys.executable, "-m", "stereo_depth_ros.nodes.replay_node", "--ros-args"]
-    command += ["-p", f"bag:={bag}", "-p", f"output:={output}", "-p", "duration_seconds:=0.15"]
+    command += ["-p", f"bag:={path}", "-p", f"output:={output}", "-p", "duration_seconds:=0.15"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert "2 pairs of" in done.stderr
@@ -191,25 +202,10 @@ def test_pairs_that_nothing_comes_of_are_lost_with_the_reason_of_the_node(
     from stereo_depth_ros.nodes.replay_node import replay
 
     monkeypatch.setattr(player, "_LOST_AFTER_S", 1.2)  # longer than the second between two diagnostics
-    write_truth_bag(tmp_path / "in.mcap", 3)
-    shrunk = tmp_path / "shrunk.mcap"
-    _with_smaller_images(tmp_path / "in.mcap", shrunk)
+    write_with_smaller_images(tmp_path / "in.mcap")
+    shrunk = later(tmp_path / "in.mcap", tmp_path / "later.mcap", seconds=50)
     with pytest.raises(GraphError, match=r"no output for 3 pairs in a row.*the image is 200x148"):
         replay(ReplayOptions(bag=str(shrunk)), check=graph.check, config=CONFIG)
-
-
-def _with_smaller_images(path: Path, target: Path) -> None:
-    """The same bag, its images two rows less high than their camera infos say."""
-    from stereo_depth_ros.io.bag_reader import BagReader
-
-    types, made = RosbagsTypes(), sequence(3)
-    with BagReader(path) as reader, BagWriter(target) as writer:
-        for message in reader.messages([f"/{eye}/camera_info" for eye in ("left", "right")]):
-            writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
-        for frame in made:
-            for eye, image in (("left", frame.pair.left), ("right", frame.pair.right)):
-                small = image_message(types, image.pixels[:-2], "mono8", image.stamp_ns, image.frame_id)
-                writer.write(f"/{eye}/image_raw", small, image.stamp_ns)
 
 
 def test_bag_without_stereo_is_refused_before_any_node_starts(tmp_path: Path) -> None:

@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: what it prints and writes, and the exit codes."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import pytest
+from stereo_bags import PARAMETERS, messages_of, write_odd_bag, write_truth_bag
+
+from stereo_depth_ros import cli, graph_runner
+from stereo_depth_ros.io.bag_reader import BagReader
+
+Run = Callable[..., tuple[int, str, str]]
+PARAM_ARGUMENTS = [text for name, value in PARAMETERS.items() for text in ("--param", f"{name}:={value}")]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """Runs `stereo-depth` with arguments: exit code, stdout, stderr."""
+    before = signal.getsignal(signal.SIGTERM)
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["stereo-depth", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(ended.value.code or 0), out, err
+
+    yield call
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "in.mcap"
+    write_truth_bag(path, 2)
+    return path
+
+
+def test_process_writes_the_bag_and_the_same_figures_as_table_and_json(run: Run, bag: Path, tmp_path: Path) -> None:
+    output, report = tmp_path / "out.mcap", tmp_path / "report.json"
+    code, out, err = run("process", bag, "-o", output, *PARAM_ARGUMENTS, "--json", report)
+    assert (code, err) == (0, "")
+    assert len(messages_of(output, "/disparity")) == 2
+    values = json.loads(report.read_text())
+    assert values["pairs"] == 2
+    assert f"{100 * values['score']['valid_fraction']:.1f} %" in out
+    assert f"median {values['score']['median_px']:.3f} px" in out
+
+
+def test_process_takes_matcher_and_parameter_file(run: Run, bag: Path, tmp_path: Path) -> None:
+    params = tmp_path / "p.yaml"
+    params.write_text("/**:\n  ros__parameters: {disparity_range: 96, speckle_size: 20}\n")
+    output = tmp_path / "out.mcap"
+    arguments = ("--matcher", "sgbm", "--params-file", params, "--param", "disparity_range:=48", "--duration", "0.05")
+    code, out, _ = run("process", bag, "-o", output, *arguments, "--json", "-")
+    assert code == 0
+    assert json.loads(out)["pairs"] == 1
+    with BagReader(output) as reader:
+        message = reader.deserialize(next(reader.messages(["/disparity"])))
+    assert message.max_disparity - message.min_disparity == pytest.approx(47, abs=1e-4), "--param wins over the file"
+
+
+def test_process_of_pairs_that_are_all_refused_is_one_line(run: Run, bag: Path, tmp_path: Path) -> None:
+    code, out, err = run("process", bag, "-o", tmp_path / "o.mcap", "--param", "disparity_range:=256")
+    assert (code, out) == (1, "")
+    assert err.startswith("error: ") and err.count("\n") == 1
+    assert "no pair could be processed" in err
+
+
+def test_info_of_a_usable_bag(run: Run, bag: Path) -> None:
+    code, out, err = run("info", bag)
+    assert (code, err) == (0, "")
+    assert "/left/image_raw" in out and "200x150 mono8" in out and "can be made of it" in out
+    values = json.loads(run("info", bag, "--json", "-")[1])
+    assert values["usable"] is True
+    assert values["stereo"]["left_image"] == "/left/image_raw"
+    assert values["topics"]["/truth/disparity"]["count"] == 2
+
+
+def test_info_of_a_bag_without_pairs_says_why_and_ends_with_1(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "lonely.mcap"
+    write_odd_bag(path, 2, without_right=(0, 1))
+    code, out, err = run("info", path)
+    assert code == 1
+    assert "cannot be made of it" in out
+    assert "problem: " in err
+
+
+def test_known_errors_are_one_line_and_exit_code_1(run: Run, bag: Path, tmp_path: Path) -> None:
+    code, out, err = run("info", tmp_path / "none.mcap")
+    assert (code, out) == (1, "")
+    assert err.startswith("error: ") and "none.mcap does not exist" in err and err.count("\n") == 1
+    assert "is the bag that is read" in run("process", bag, "-o", bag)[2]
+    assert "does not end in .mcap" in run("process", bag, "-o", tmp_path / "o.bag")[2]
+    assert "did you mean 'speckle_size'" in run("process", bag, "-o", tmp_path / "o.mcap", "-p", "speckle_siz:=3")[2]
+    assert "cannot write" in run("parameters", "--json", tmp_path / "none" / "p.json")[2]
+
+
+def test_wrong_usage_is_exit_code_2(run: Run, bag: Path) -> None:
+    assert run("process", bag)[0] == 2
+    assert run("replay", bag, "-o", "x.mcap", "--loop", "0")[0] == 2
+    assert run("convert", "nothing")[0] == 2
+
+
+def test_replay_without_ros_names_the_remedy(
+    run: Run, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph_runner.importlib.util, "find_spec", lambda name: None)
+    code, _, err = run("replay", bag, "-o", tmp_path / "o.mcap")
+    assert code == 1
+    assert "rclpy, sensor_msgs, stereo_msgs not found" in err
+    assert "pip install 'stereo_depth_ros[ros]'" in err
+
+
+def test_parameters_lists_every_one(run: Run) -> None:
+    code, out, _ = run("parameters", "--json", "-")
+    assert code == 0
+    names = {item["name"] for item in json.loads(out)}
+    assert {"disparity_range", "approximate_sync", "use_color", "depth_encoding"} <= names
+    assert "disparity_range" in run("parameters")[1]
+
+
+def test_synthesize_and_convert_write_bags(run: Run, tmp_path: Path) -> None:
+    made = tmp_path / "room.mcap"
+    code, _, err = run("synthesize", made, "--frames", "1", "--width", "64", "--height", "48")
+    assert code == 0 and "1 pairs written" in err
+    assert len(messages_of(made, "/truth/disparity")) == 1
+    code, _, err = run("synthesize", made, "--frames", "1", "--width", "64", "--height", "48")
+    assert code == 1 and "room.mcap exists" in err
+    code, _, err = run("convert", "kitti", tmp_path, tmp_path / "k.mcap")
+    assert code == 1 and "is not a KITTI folder" in err
+
+
+@pytest.mark.real_data
+def test_convert_euroc_makes_a_bag_that_info_finds_usable(run: Run, stereo_data: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "v1.mcap"
+    code, _, err = run("convert", "euroc", stereo_data / "euroc" / "V1_01_micro", bag)
+    assert code == 0, err
+    code, out, _ = run("info", bag)
+    assert code == 0
+    assert "24 of equal stamps" in out and "baseline 110.1 mm" in out
+
+
+@pytest.mark.parametrize("command", ["info", "replay", "process", "demo", "parameters", "synthesize", "convert kitti"])
+def test_help_of_every_command_has_an_example(run: Run, command: str) -> None:
+    code, out, _ = run(*command.split(), "--help")
+    assert code == 0
+    assert f"stereo-depth {command}" in out.split("Options:")[0].split("\n", 1)[1]
+
+
+@pytest.mark.graph
+def test_demo_plays_the_sample_bag_and_names_bag_and_picture(
+    run: Run, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "65")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setattr(cli, "_sample_bag", lambda: bag)
+    code, out, err = run("demo", "--output-dir", tmp_path / "out")
+    assert code == 0, err
+    assert len(messages_of(tmp_path / "out" / "demo.mcap", "/points2")) == 2
+    picture = cv2.imread(str(tmp_path / "out" / "demo.png"))
+    assert picture.shape[1] > 2 * 600
+    for text in ("pairs in", "valid pixels", "error against truth", "pairs a second", "p95 ms", ": match", "demo.png"):
+        assert text in out
