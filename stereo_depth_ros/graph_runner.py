@@ -25,6 +25,7 @@ SHAPES: Mapping[str, tuple[str, ...]] = {
 _READ_RAW_IMAGES = ("stereo_depth_node", "rectify_node")  # the others get what these publish, which is never compressed
 _STOP_TIMEOUT_S = 5.0  # for each of SIGINT, SIGTERM and SIGKILL
 _TAIL_LINES = 12
+_READY, _READY_TIMEOUT_S = b"]: ready", 30.0  # what nodes/runner.py logs; kernels are compiled at the very first start
 
 
 class GraphProcesses:
@@ -83,6 +84,22 @@ class GraphProcesses:
             code = process.poll()
             if code is not None:
                 raise GraphError(f"{node} ended with exit code {code}; the end of its log:\n{self._tail(node)}")
+
+    def wait_until_ready(self) -> None:
+        """Wait until every node has logged that it is ready: nodes of the same names may run in this domain already.
+
+        Raises:
+            GraphError: a node ended, or is not ready after 30 seconds.
+        """
+        end = time.monotonic() + _READY_TIMEOUT_S
+        for node in self._processes:
+            while _READY not in self.log(node).read_bytes():
+                self.check()
+                if time.monotonic() > end:
+                    raise GraphError(
+                        f"{node} is not ready after {_READY_TIMEOUT_S:g} s: its log says\n{self._tail(node)}"
+                    )
+                time.sleep(0.05)
 
     def stop(self) -> dict[str, int]:
         """End all nodes: SIGINT, then SIGTERM, then SIGKILL, five seconds each.

@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from stereo_depth_ros.camera_model import CameraModel, check_intrinsics, check_rectification, check_rotation
 from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.io.calibration_yaml import read_camera
+from stereo_depth_ros.io.camera_info_message import camera_from_info
 from stereo_depth_ros.types import F64
 
 __all__ = ["StereoRig"]
@@ -46,15 +48,11 @@ class StereoRig:
     @classmethod
     def from_infos(cls, left_info: Any, right_info: Any, topics: tuple[str, str] = ("left", "right")) -> StereoRig:
         """From two ``sensor_msgs/CameraInfo`` messages, or objects with the same fields."""
-        from stereo_depth_ros.io.camera_info_message import camera_from_info  # builds CameraModel, so it sits above
-
         return cls(camera_from_info(left_info, topics[0]), camera_from_info(right_info, topics[1]), topics)
 
     @classmethod
     def from_yaml(cls, left_path: str | Path, right_path: str | Path) -> StereoRig:
         """From the two files that ``camera_calibration`` writes."""
-        from stereo_depth_ros.io.calibration_yaml import read_camera  # builds CameraModel, so it sits above
-
         return cls(read_camera(left_path), read_camera(right_path), (str(left_path), str(right_path)))
 
     @classmethod

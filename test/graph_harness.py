@@ -46,7 +46,9 @@ def ros_arguments(
     parameters: Mapping[str, Any] | None = None, remaps: Mapping[str, str] | None = None, files: Iterable[Path] = ()
 ) -> list[str]:
     """The command line of parameters, remappings and parameter files."""
-    values = {name: str(value).lower() if isinstance(value, bool) else value for name, value in (parameters or {}).items()}
+    values = {
+        name: str(value).lower() if isinstance(value, bool) else value for name, value in (parameters or {}).items()
+    }
     arguments = [part for name, value in values.items() for part in ("-p", f"{name}:={value}")]
     arguments += [part for old, new in (remaps or {}).items() for part in ("-r", f"{old}:={new}")]
     arguments += [part for path in files for part in ("--params-file", str(path))]
@@ -151,10 +153,11 @@ class Graph:
                 pytest.fail(f"within {timeout_s:g} s: no {what}; log: {[log.msg for log in self.logs[-5:]]}")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def listen(self, topic: str, kind: Any, depth: int = 10) -> list[Any]:
-        """Subscribes, reliably; the list grows with the messages that come."""
+    def listen(self, topic: str, kind: Any, depth: int = 10, reliable: bool = True) -> list[Any]:
+        """Subscribes; the list grows with the messages that come."""
         received: list[Any] = []
-        self._subscriptions[topic] = self._node.create_subscription(kind, topic, received.append, depth)
+        qos = _qos(depth, reliable)
+        self._subscriptions[topic] = self._node.create_subscription(kind, topic, received.append, qos)
         return received
 
     def stop_listening(self, topic: str) -> None:
@@ -164,23 +167,30 @@ class Graph:
     def advertise(self, topic: str, kind: Any, reliable: bool = True) -> Any:
         """A publisher of the test node; the same one for the same topic."""
         if topic not in self._publishers:
-            reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-            self._publishers[topic] = self._node.create_publisher(
-                kind, topic, QoSProfile(depth=10, reliability=reliability)
-            )
+            self._publishers[topic] = self._node.create_publisher(kind, topic, _qos(10, reliable))
         return self._publishers[topic]
+
+    def withdraw(self, topic: str) -> None:
+        """Destroys the publisher."""
+        self._node.destroy_publisher(self._publishers.pop(topic))
 
     def send(self, messages: Mapping[str, Any], subscribers: int = 1) -> None:
         """Publishes by topic, in this order, once every topic has that many subscribers."""
+        publishers = {topic: self.advertise(topic, type(message)) for topic, message in messages.items()}
+        self.wait(
+            lambda: all(publisher.get_subscription_count() >= subscribers for publisher in publishers.values()),
+            f"{subscribers} subscription(s) of each of {', '.join(publishers)}",
+        )
         for topic, message in messages.items():
-            publisher = self.advertise(topic, type(message))
-            self.wait(lambda p=publisher: p.get_subscription_count() >= subscribers, f"subscription of {topic}")
-        for topic, message in messages.items():
-            self._publishers[topic].publish(message)
+            publishers[topic].publish(message)
 
     def subscriptions(self, *topics: str) -> list[int]:
         """Number of subscriptions of each topic."""
         return [self._node.count_subscribers(topic) for topic in topics]
+
+    def publishers(self, topic: str) -> list[Any]:
+        """What the graph knows of the publishers of a topic."""
+        return list(self._node.get_publishers_info_by_topic(topic))
 
     def errors(self, pattern: str) -> list[str]:
         """Logged errors that match."""
@@ -218,6 +228,11 @@ class Graph:
         """Sets one through the service, as `ros2 param set` does."""
         request = SetParameters.Request(parameters=[Parameter(name=name, value=parameter_value(value))])
         return self.call(SetParameters, f"/{node}/set_parameters", request).results[0]
+
+
+def _qos(depth: int, reliable: bool) -> QoSProfile:
+    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    return QoSProfile(depth=depth, reliability=reliability)
 
 
 def parameter_value(value: Any) -> ParameterValue:

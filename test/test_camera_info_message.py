@@ -95,7 +95,7 @@ def test_info_of_a_rectified_image() -> None:
     rig = StereoRig.from_calibration(
         K, [-0.2, 0.1, 0, 0], K, [-0.1, 0, 0, 0], np.eye(3), [-0.12, 0.01, 0], (320, 200), frame_id="left_frame"
     )
-    message = rectified_camera_info(RosbagsTypes(), rig, 7)
+    message = rectified_camera_info(RosbagsTypes(), rig.left, 7)
     assert (message.width, message.height, message.distortion_model) == (320, 200, "plumb_bob")
     assert message.header.frame_id == "left_frame"
     f_px, cx, cy = rig.f_px, rig.cx_left, rig.cy

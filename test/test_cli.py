@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -159,7 +160,7 @@ def test_help_of_every_command_has_an_example(run: Run, command: str) -> None:
 def test_demo_plays_the_sample_bag_and_names_bag_and_picture(
     run: Run, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "65")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + 5 * (os.getpid() % 10) + 4))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setattr(cli, "_sample_bag", lambda: bag)
     code, out, err = run("demo", "--output-dir", tmp_path / "out")

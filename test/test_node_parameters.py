@@ -212,11 +212,22 @@ def test_change_that_the_images_are_too_small_for_is_told_and_can_be_undone(runn
 @pytest.mark.parametrize(
     ("parameters", "remaps", "error", "text"),
     [
-        ({"disparity_rnage": 64}, {}, ConfigError, "unknown parameter 'disparity_rnage': did you mean 'disparity_range'"),
+        (
+            {"disparity_rnage": 64},
+            {},
+            ConfigError,
+            "unknown parameter 'disparity_rnage': did you mean 'disparity_range'",
+        ),
         ({"foo_bar_baz": 1}, {}, ConfigError, "unknown parameter 'foo_bar_baz': see the table"),
         ({"queue_size": 0}, {}, ConfigError, r"queue_size = 0 is outside 1\.\.1000: set it inside"),
         ({"queue_size": "'5'"}, {}, ConfigError, "queue_size = '5' is str, it takes int"),
         ({"image_transport": "theora"}, {}, ConfigError, "'theora' is none of raw, compressed"),
+        (
+            {"qos_overrides./left/image_rect.subscription.reliability": "relable"},
+            {},
+            ConfigError,
+            r"left/image_rect\.subscription\.reliability = 'relable' is none of .*reliable, best_effort",
+        ),
         ({}, {"right/camera_info": "left/camera_info"}, TopicError, "left/camera_info and right/camera_info are both"),
     ],
 )
@@ -232,7 +243,9 @@ def test_every_node_refuses_at_start(
     [(StereoDepthNode, "image_raw"), (RectifyNode, "image_raw"), (DisparityNode, "image_rect")],
 )
 def test_equal_image_topics_are_refused(node_type: Any, image: str) -> None:
-    with pytest.raises(TopicError, match=f"left/{image} and right/{image} are both /eye: remap them to different topics"):
+    with pytest.raises(
+        TopicError, match=f"left/{image} and right/{image} are both /eye: remap them to different topics"
+    ):
         Graph(node_type, remaps={f"left/{image}": "/eye", f"right/{image}": "/eye"})
 
 
@@ -248,9 +261,17 @@ def test_whole_number_at_start_is_a_double() -> None:
     assert all(type(value) is float for value in values)
 
 
-REFUSALS = {
-    "unknown name in a file": ({"disparity_rang": 64}, [], "unknown parameter 'disparity_rang': did you mean 'disparity_range'?"),
-    "out of range": ({"disparity_range": 70}, [], "disparity_range = 70 is not 32 plus a multiple of 16: take 64 or 80"),
+REFUSALS: dict[str, tuple[dict[str, Any], list[str], str]] = {
+    "unknown name in a file": (
+        {"disparity_rang": 64},
+        [],
+        "unknown parameter 'disparity_rang': did you mean 'disparity_range'?",
+    ),
+    "out of range": (
+        {"disparity_range": 70},
+        [],
+        "disparity_range = 70 is not 32 plus a multiple of 16: take 64 or 80",
+    ),
     "contradiction": (
         {"stereo_algorithm": 1, "P1": 500.0},
         [],

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -42,11 +43,16 @@ SAME_BYTES = (*IMAGES, "/disparity", "/depth/image_rect", "/points2")
 OUTPUTS = (*SAME_BYTES, "/depth/camera_info")
 
 
+def domain(number: int) -> str:
+    """A ROS_DOMAIN_ID that no other run of these tests on this machine is likely to have."""
+    return str(20 + 5 * (os.getpid() % 10) + number)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def own_domain() -> Iterator[None]:
     """A ROS domain of these tests, on this machine only."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", "63")
+        patch.setenv("ROS_DOMAIN_ID", domain(0))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         yield
 
@@ -164,9 +170,12 @@ def test_replay_node_refuses_to_play_nothing() -> None:
     assert "parameter bag is empty" in done.stderr
 
 
-def test_separate_nodes_give_the_bytes_of_the_offline_engine_from_a_compressed_bag(tmp_path: Path) -> None:
+def test_separate_nodes_give_the_bytes_of_the_offline_engine_from_a_compressed_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from stereo_depth_ros.nodes.replay.live import replay_through_graph
 
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain(2))
     write_odd_bag(tmp_path / "in.mcap", 3, compressed=True, without_right=(1,))
     options = ReplayOptions(bag=str(tmp_path / "in.mcap"), output=str(tmp_path / "live.mcap"))
     result = replay_through_graph(options, "separate", PARAMETERS, CONFIG, lambda sent, total: None)
@@ -181,16 +190,39 @@ def test_without_nodes_the_topics_that_nobody_serves_are_named(bag: Path, monkey
     from stereo_depth_ros.nodes.replay import player
     from stereo_depth_ros.nodes.replay_node import replay
 
-    monkeypatch.setenv("ROS_DOMAIN_ID", "64")
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain(1))
     monkeypatch.setattr(player, "_GRAPH_TIMEOUT_S", 0.5)
     with pytest.raises(GraphError, match=r"/left/image_raw has no subscriber.*/points2 has no publisher after 0\.5 s"):
         replay(ReplayOptions(bag=str(bag)), config=CONFIG)
 
 
+def test_second_publisher_of_an_output_is_refused(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from sensor_msgs.msg import PointCloud2
+
+    from stereo_depth_ros.nodes.replay import player
+    from stereo_depth_ros.nodes.replay_node import play
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain(1))
+    monkeypatch.setattr(player, "_GRAPH_TIMEOUT_S", 0.5)
+    context = Context()
+    rclpy.init(args=[], context=context)
+    try:
+        node = Node("two_clouds", context=context)
+        publishers = [node.create_publisher(PointCloud2, "points2", 5) for _ in range(2)]
+        with pytest.raises(GraphError, match=r"/points2 has 2 publishers, not one after 0\.5 s: run one graph"):
+            play(node, ReplayOptions(bag=str(bag)), CONFIG)
+        assert len(publishers) == 2
+    finally:
+        rclpy.shutdown(context=context)
+
+
 def test_node_that_ends_is_named_with_the_end_of_its_log(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from stereo_depth_ros.nodes.replay.live import replay_through_graph
 
-    monkeypatch.setenv("ROS_DOMAIN_ID", "64")
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain(1))
     with pytest.raises(GraphError, match=r"(?s)stereo_depth_node ended with exit code 1.*disparity_rang"):
         replay_through_graph(ReplayOptions(bag=str(bag)), "fused", {"disparity_rang": 32}, CONFIG, lambda *_: None)
 
@@ -220,16 +252,10 @@ def test_bag_without_stereo_is_refused_before_any_node_starts(tmp_path: Path) ->
         )
 
 
-def test_all_nodes_end_with_0_when_they_are_stopped(own_domain: None, tmp_path: Path) -> None:
-    import time
-
+def test_all_nodes_end_with_0_when_they_are_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain(3))
     with GraphProcesses("separate", PARAMETERS, tmp_path) as processes:
-        logs = [processes.log(node) for node in SHAPES["separate"]]
-        end = time.monotonic() + 20
-        while not all("ready" in log.read_text() for log in logs):
-            assert time.monotonic() < end, "not every node said that it is ready within 20 s"
-            processes.check()
-            time.sleep(0.1)
+        processes.wait_until_ready()
         assert processes.stop() == dict.fromkeys(SHAPES["separate"], 0)
 
 

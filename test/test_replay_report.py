@@ -76,6 +76,15 @@ def test_tracker_knows_a_pair_by_the_stamp_of_either_eye() -> None:
     assert tracker.pending == 0
 
 
+def test_latency_of_a_pair_that_is_sent_again_counts_from_the_last_time() -> None:
+    tracker = PairTracker(["disparity", "points2"])
+    tracker.sent(1_000, 1_000, now_ns=0)
+    tracker.sent_again(1_000, now_ns=8_000_000)
+    tracker.received("disparity", 1_000, now_ns=9_500_000)
+    assert tracker.stats()["disparity"].latencies_ms == (1.5,)
+    assert [pair.topics for pair in tracker.give_up(sent_before_ns=1)] == [("points2",)], "sent first at 0"
+
+
 def test_tracker_gives_up_what_is_overdue_and_says_what_was_missing() -> None:
     tracker = PairTracker(["disparity", "points2"])
     tracker.sent(1_000, 1_000, now_ns=100)

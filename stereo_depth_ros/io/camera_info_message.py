@@ -12,7 +12,6 @@ import numpy as np
 from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.io.message_types import MessageTypes, make_header
-from stereo_depth_ros.stereo_rig import StereoRig
 
 __all__ = ["camera_from_info", "camera_info_message", "rectified_camera_info"]
 
@@ -83,13 +82,13 @@ def camera_info_message(types: MessageTypes, camera: CameraModel, stamp_ns: int,
     )
 
 
-def rectified_camera_info(types: MessageTypes, rig: StereoRig, stamp_ns: int, frame_id: str | None = None) -> Any:
-    """The sensor_msgs/CameraInfo of an image in the left rectified frame, such as depth.
+def rectified_camera_info(types: MessageTypes, left: CameraModel, stamp_ns: int, frame_id: str | None = None) -> Any:
+    """The sensor_msgs/CameraInfo of an image in the rectified frame of the left camera, such as depth.
 
     Its K is the rectified one, D zero, R the identity; arguments as for :func:`camera_info_message`.
     """
-    K = rig.left.P[:, :3]
+    K = left.P[:, :3]
     camera = replace(
-        rig.left, distortion_model="plumb_bob", K=K, D=np.zeros(5), R=np.eye(3), P=np.column_stack([K, np.zeros(3)])
+        left, distortion_model="plumb_bob", K=K, D=np.zeros(5), R=np.eye(3), P=np.column_stack([K, np.zeros(3)])
     )
     return camera_info_message(types, camera, stamp_ns, frame_id)

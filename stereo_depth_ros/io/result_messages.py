@@ -69,7 +69,7 @@ class ResultMessages:
 
     def depth_camera_info(self, result: StereoResult) -> Any:
         """The camera info of the depth image: no distortion, no rotation."""
-        return rectified_camera_info(self._types, result.rig, result.stamp_ns, result.frame_id)
+        return rectified_camera_info(self._types, result.rig.left, result.stamp_ns, result.frame_id)
 
     def cloud(self, result: StereoResult) -> Any:
         """The point cloud."""

@@ -22,7 +22,7 @@ _LEFT, _RIGHT = "left/camera_info", "right/camera_info"
 
 
 class CalibrationInput:
-    """Holds the rig: made when both camera infos are there, made again when one of them changes.
+    """Holds the rig: made of both camera infos when it is needed, and again after one of them has changed.
 
     Args:
         node: subscribes left/camera_info and right/camera_info.
@@ -44,20 +44,21 @@ class CalibrationInput:
         Raises:
             CalibrationError: the camera infos that have arrived describe no rig.
         """
-        if self._rig is not None:
-            use(self._rig)
-        elif len(self._infos) == 2:
+        if len(self._infos) < 2:
+            self._wait(use)
+            return
+        if self._rig is None:
+            # Not before something needs it: when both camera infos change, one of them comes first.
+            self._rig = self._make_rig()
+        use(self._rig)
+
+    def _wait(self, use: Callable[[StereoRig], None]) -> None:
+        self._waiting.append(use)
+        if len(self._waiting) > self._node.parameters.get(PairingConfig).queue_size:
+            self._waiting.popleft()
             self._node.health.counters["dropped without calibration"] += 1
-            self._make_rig()
-        else:
-            self._waiting.append(use)
-            if len(self._waiting) > self._node.parameters.get(PairingConfig).queue_size:
-                self._waiting.popleft()
-                missing = ", ".join(self._node.resolve_topic_name(t) for t in (_LEFT, _RIGHT) if t not in self._infos)
-                self._node.health.counters["dropped without calibration"] += 1
-                raise CalibrationError(
-                    f"images arrive, but nothing yet on {missing}: publish camera infos, or remap them"
-                )
+            missing = ", ".join(self._node.resolve_topic_name(t) for t in (_LEFT, _RIGHT) if t not in self._infos)
+            raise CalibrationError(f"images arrive, but nothing yet on {missing}: publish camera infos, or remap them")
 
     def _receive(self, topic: str, info: Any) -> None:
         contents = _contents(info)
@@ -67,15 +68,18 @@ class CalibrationInput:
         self._infos[topic] = info
         self._rig = None
         if len(self._infos) == 2:
-            self._make_rig()
+            waiting, self._waiting = self._waiting, deque()
+            for use in waiting:
+                with self._node.health.guard():
+                    self.with_rig(use)
 
-    def _make_rig(self) -> None:
+    def _make_rig(self) -> StereoRig:
         topics = (self._node.resolve_topic_name(_LEFT), self._node.resolve_topic_name(_RIGHT))
-        waiting, self._waiting = self._waiting, deque()
-        rig = self._rig = StereoRig.from_infos(self._infos[_LEFT], self._infos[_RIGHT], topics)
-        for use in waiting:
-            with self._node.health.guard():
-                use(rig)
+        try:
+            return StereoRig.from_infos(self._infos[_LEFT], self._infos[_RIGHT], topics)
+        except CalibrationError:
+            self._node.health.counters["dropped without calibration"] += 1
+            raise
 
 
 def _contents(info: Any) -> tuple[Any, ...]:

@@ -45,7 +45,7 @@ class DepthNode(StereoNode):
             depth_m = depth_from_disparity(disparity_px, published_triangulation(message, rig, topic))
         encoding = self.parameters.get(DepthConfig).depth_encoding
         self._image.publish(depth_message(self.types, self._pool, depth_m, encoding, stamp, frame_id))
-        self._info.publish(rectified_camera_info(self.types, rig, stamp, frame_id))
+        self._info.publish(rectified_camera_info(self.types, rig.left, stamp, frame_id))
 
 
 def main() -> int:

@@ -59,9 +59,10 @@ class PairInput:
         counters["duplicate stamps"] = counts.duplicates
         if counts.backwards > self._backwards:
             self._backwards = counts.backwards
+            topics = ", ".join(self._node.resolve_topic_name(topic) for topic in self._topics)
             self._node.health.complain(
                 "stamps went backwards",
-                f"{left}, {right}: stamps went backwards; what waited was dropped, pairing begins anew: "
+                f"{topics}: stamps went backwards; what waited was dropped, pairing begins anew: "
                 "expected when a bag starts again, else check the clock of the camera driver",
             )
 

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, parameter_infos, replace_checked
 from stereo_depth_ros.errors import ConfigError
@@ -21,6 +22,8 @@ ConfigT = TypeVar("ConfigT")
 
 # Parameters that rclpy itself knows.
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
+_QOS_OVERRIDES = "qos_overrides."
+_QOS_POLICIES = {"reliability": ReliabilityPolicy, "durability": DurabilityPolicy, "history": HistoryPolicy}
 
 
 class NodeParameters:
@@ -31,12 +34,14 @@ class NodeParameters:
         configs: config classes of the stages this node runs.
 
     Raises:
-        ConfigError: a value given at start has a wrong type or range, or a name is unknown to every stage.
+        ConfigError: a value given at start has a wrong type or range, or a name is unknown to every stage;
+            a QoS override names no policy.
     """
 
     def __init__(self, node: Node, *configs: type) -> None:
         overrides = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
         _refuse_unknown(overrides)
+        _refuse_unknown_qos(overrides)
         self.on_change: Callable[[], None] = lambda: None
         self._configs: dict[type, Any] = {}
         for config in configs:
@@ -74,10 +79,20 @@ def _refuse_unknown(overrides: dict[str, Any]) -> None:
     """One parameter file serves all nodes: refused is only what no stage knows."""
     known = {*_ROS_OWN, *(name for config in STAGE_CONFIGS for name in _names(config))}
     for name in overrides:
-        if name not in known and not name.startswith("qos_overrides."):
+        if name not in known and not name.startswith(_QOS_OVERRIDES):
             close = difflib.get_close_matches(name, known, 1)
             remedy = f"did you mean {close[0]!r}?" if close else "see the table of parameters in the README"
             raise ConfigError(f"unknown parameter {name!r}: {remedy}")
+
+
+def _refuse_unknown_qos(overrides: dict[str, Any]) -> None:
+    """At start: rclpy would look at them when a topic is subscribed, which may be much later."""
+    for name, value in overrides.items():
+        policy = _QOS_POLICIES.get(name.rpartition(".")[2])
+        if policy and name.startswith(_QOS_OVERRIDES) and str(value).lower() not in policy.short_keys():
+            raise ConfigError(
+                f"parameter {name} = {value!r} is none of {', '.join(policy.short_keys())}: take one of them"
+            )
 
 
 def _descriptor(info: ParameterInfo) -> ParameterDescriptor:

@@ -30,7 +30,6 @@ from stereo_depth_ros.transport import prepare_process
 __all__ = ["main", "play", "replay"]
 
 _DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes tell their timings once a second
-_APPROXIMATE_IN_FLIGHT = 3  # a node may need the next two images to know the closest one
 
 
 def _nothing(*_: Any) -> None:
@@ -80,12 +79,11 @@ def play(
         with Recorder(options.output_path) as recorder:
             recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
             ports = GraphPorts(node, recorder, pairs.topics.compressed, options.clock)
-            approximate = config.pairing.approximate_sync
-            in_flight = max(options.in_flight, _APPROXIMATE_IN_FLIGHT) if approximate else options.in_flight
-            player = Player(ports, pairs, options, in_flight, check)
+            player = Player(ports, pairs, options, config.pairing.approximate_sync, check)
             try:
                 player.play(progress)
                 ports.await_diagnostics(_DIAGNOSTICS_TIMEOUT_S)
+                intruders = "; ".join(ports.intruders())  # one that came, or was discovered, while the bag played
             finally:
                 ports.close()
         result = ReplayResult(
@@ -98,7 +96,7 @@ def play(
             wall_s=player.wall_s,
             stages_ms=ports.stages_ms(),
             realtime=options.realtime,
-            warnings=tuple(text for text in (pairs.warning, ports.complaints()) if text),
+            warnings=tuple(text for text in (pairs.warning, ports.complaints(), intruders) if text),
         )
     if options.output_path is None:
         return result

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 
 import rclpy
@@ -27,9 +28,15 @@ def run(make_node: Callable[[], Node]) -> int:
         0 after SIGINT or SIGTERM, 1 where ROS refuses its arguments or the node its parameters or topics.
     """
     transport = prepare_process()
+    interrupts: list[int] = []
+    # Python's own handler raises KeyboardInterrupt wherever it is, in the middle of rclpy's C++ too, where it is lost
+    # or becomes another error. rclpy shuts its context down by itself when a signal comes.
+    signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
     node = None
     try:
         _init()
+        if interrupts:
+            return 0  # it came before rclpy listened
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -38,7 +45,7 @@ def run(make_node: Callable[[], Node]) -> int:
     except StereoDepthError as error:
         get_logger("stereo_depth_ros").fatal(str(error))
         return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     except RCLError:
         if rclpy.ok():

@@ -84,30 +84,38 @@ class GraphPorts:
         """Handle what has come, or wait for something up to that time."""
         self._executor.spin_once(timeout_sec=timeout_s)
 
+    def record_infos(self, pair: SerializedPair) -> None:
+        """Record the camera infos of a pair."""
+        for field, stamp_ns in (("left_info", pair.stamp_ns), ("right_info", pair.right_stamp_ns)):
+            self._recorder.write(self._publishers[field].topic_name, _INFO_TYPE, getattr(pair, field), stamp_ns)
+
     def send_all_but_last(self, pair: SerializedPair) -> None:
         """Publish the time, both camera infos and the left image."""
         if self._clock is not None:
             self._clock.publish(_clock_message(max(pair.stamp_ns, pair.right_stamp_ns)))
-        for field, stamp_ns in (("left_info", pair.stamp_ns), ("right_info", pair.right_stamp_ns)):
-            data = getattr(pair, field)
-            self._recorder.write(self._publishers[field].topic_name, _INFO_TYPE, data, stamp_ns)
-            self._publishers[field].publish(data)
+        for field in ("left_info", "right_info"):
+            self._publishers[field].publish(getattr(pair, field))
         self._publishers["left"].publish(pair.left)
 
     def send_last(self, pair: SerializedPair) -> None:
         """Publish the right image."""
         self._publishers["right"].publish(pair.right)
 
-    def missing(self) -> list[str]:
-        """One phrase for each input that nobody subscribes and each output that nobody publishes."""
+    def obstacles(self) -> list[str]:
+        """One phrase for each topic that has nobody at its other end, or a second publisher of another graph."""
         inputs = [p.topic_name for p in self._publishers.values() if not p.get_subscription_count()]
         outputs = [s.topic_name for s in self._subscriptions.values() if not s.get_publisher_count()]
-        return [f"{name} has no subscriber" for name in inputs] + [f"{name} has no publisher" for name in outputs]
+        missing = [f"{name} has no subscriber" for name in inputs] + [f"{name} has no publisher" for name in outputs]
+        return missing + self.intruders()
+
+    def intruders(self) -> list[str]:
+        """One phrase for each topic that another graph or a camera publishes as well."""
+        counts = {name: self._node.count_publishers(name) for name in self._topics()}
+        return [f"{name} has {count} publishers, not one" for name, count in counts.items() if count > 1]
 
     def count_endpoints(self) -> int:
         """Publishers and subscribers on all topics of the replay, of everybody."""
-        names = [p.topic_name for p in self._publishers.values()] + [s.topic_name for s in self._subscriptions.values()]
-        return sum(self._node.count_publishers(name) + self._node.count_subscribers(name) for name in names)
+        return sum(self._node.count_publishers(name) + self._node.count_subscribers(name) for name in self._topics())
 
     def await_diagnostics(self, timeout_s: float) -> None:
         """Wait until every node that publishes diagnostics has done so once more."""
@@ -135,6 +143,10 @@ class GraphPorts:
     def close(self) -> None:
         """Stop the executor; the node and its endpoints stay the caller's."""
         self._executor.shutdown()
+
+    def _topics(self) -> list[str]:
+        ends: list[Any] = [*self._publishers.values(), *self._subscriptions.values()]
+        return [str(end.topic_name) for end in ends]
 
     def _receive(self, topic: str, data: bytes) -> None:
         now_ns, stamp_ns = time.monotonic_ns(), cdr_stamp_ns(data)

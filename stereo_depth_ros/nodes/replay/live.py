@@ -49,4 +49,5 @@ def replay_through_graph(
         tempfile.TemporaryDirectory(prefix="stereo-depth-") as logs,
         GraphProcesses(shape, all_parameters, Path(logs), params_file) as graph,
     ):
+        graph.wait_until_ready()
         return replay(options, progress, graph.check, config)

@@ -21,6 +21,7 @@ _GRAPH_TIMEOUT_S = 20.0
 _SETTLED_S = 0.5  # endpoints appear one after the other; after this time without a new one the graph is complete
 _LOST_AFTER_S = 10.0
 _LAST_AFTER_S = 2.0  # in real time, what has not come this long after the last pair was dropped
+_REPEAT_S = 1.0
 _MOST_SILENT_PAIRS = 3  # pairs in a row without any output; more would each take ten seconds to say the same
 _SPIN_S = 0.05
 
@@ -32,7 +33,7 @@ class Player:
         ports: publishers, subscriptions and the executor.
         pairs: the open bag.
         options: how to play.
-        in_flight: pairs that may be outstanding.
+        approximate: the nodes pair stamps that differ.
         check: called many times a second while waiting; raises when the graph is gone.
 
     Attributes:
@@ -42,12 +43,13 @@ class Player:
     """
 
     def __init__(
-        self, ports: GraphPorts, pairs: BagPairs, options: ReplayOptions, in_flight: int, check: Callable[[], None]
+        self, ports: GraphPorts, pairs: BagPairs, options: ReplayOptions, approximate: bool, check: Callable[[], None]
     ) -> None:
         self._ports = ports
         self._pairs = pairs
         self._options = options
-        self._in_flight = in_flight
+        self._needs_followers = approximate  # a node may need the next two images to know the closest one
+        self._in_flight = max(options.in_flight, 3) if approximate else options.in_flight
         self._check = check
         self._tracker = PairTracker(ports.output_topics)
         self._silent_pairs = 0
@@ -73,7 +75,7 @@ class Player:
             progress: called with pairs sent and pairs to send (at most) after each pair.
 
         Raises:
-            GraphError: an input without a subscriber, an output without a publisher, or no output for several pairs.
+            GraphError: a topic with nobody at its other end, or with a second publisher; no output for several pairs.
             BagError: the bag is damaged where it is read.
         """
         self._wait_for_graph()
@@ -84,6 +86,8 @@ class Player:
             if not self._options.realtime:
                 self._wait_for_outputs(self._in_flight - 1)
             self._send(pair)
+            if self.sent == 1 and self._proves_links:
+                self._repeat_first(pair)
             progress(self.sent, self._options.loop * self._pairs.count)
         self._wait_for_outputs(0)
 
@@ -101,12 +105,35 @@ class Player:
             shift_ns += stamps[-1] - stamps[0] + max(1, interval_ns)
 
     def _send(self, pair: SerializedPair) -> None:
+        self._ports.record_infos(pair)
         self._ports.send_all_but_last(pair)
         now_ns = time.monotonic_ns()
         self._tracker.sent(pair.stamp_ns, pair.right_stamp_ns, now_ns)
         self._ports.send_last(pair)
         self._first_ns = self._first_ns or now_ns
         self.sent += 1
+
+    @property
+    def _proves_links(self) -> bool:
+        """Whether the first pair must be complete before the second is sent."""
+        return not (self._options.realtime or self._needs_followers)
+
+    def _repeat_first(self, pair: SerializedPair) -> None:
+        """Send the first pair again, once a second, until its outputs are complete or the wait for it is over.
+
+        Best-effort links between the nodes may come up after everything that can be seen from here, and DDS does not
+        repeat what they miss; a node that has the pair already drops the repetition as a duplicate.
+        """
+        end_ns = self._first_ns + round(1e9 * (_LOST_AFTER_S - _REPEAT_S))
+        while self._tracker.pending and time.monotonic_ns() < end_ns:
+            repeat_ns = time.monotonic_ns() + round(1e9 * _REPEAT_S)
+            while self._tracker.pending and time.monotonic_ns() < repeat_ns:
+                self._spin(_SPIN_S)
+            if self._tracker.pending:
+                self._ports.send_all_but_last(pair)
+                self._first_ns = time.monotonic_ns()
+                self._tracker.sent_again(pair.stamp_ns, self._first_ns)
+                self._ports.send_last(pair)
 
     def _on_output(self, topic: str, stamp_ns: int, now_ns: int) -> bool:
         expected = self._tracker.received(topic, stamp_ns, now_ns)
@@ -146,16 +173,16 @@ class Player:
         settled_at, endpoints = time.monotonic() + _SETTLED_S, -1
         while True:
             self._spin(_SPIN_S)
-            now, before, missing = time.monotonic(), endpoints, self._ports.missing()
+            now, before, obstacles = time.monotonic(), endpoints, self._ports.obstacles()
             endpoints = self._ports.count_endpoints()
-            if missing or endpoints != before:
+            if obstacles or endpoints != before:
                 settled_at = now + _SETTLED_S
-            if missing and now > end:
+            if obstacles and now > end:
                 raise GraphError(
-                    f"{'; '.join(missing)} after {_GRAPH_TIMEOUT_S:g} s: start the nodes in the same ROS_DOMAIN_ID and "
-                    "namespace, or remap the topics"
+                    f"{'; '.join(obstacles)} after {_GRAPH_TIMEOUT_S:g} s: run one graph, in the same namespace, in a "
+                    "ROS_DOMAIN_ID of its own (cameras and other graphs stay in theirs)"
                 )
-            if not missing and (now > settled_at or now > end):
+            if not obstacles and (now > settled_at or now > end):
                 return
 
     def _spin(self, timeout_s: float) -> None:

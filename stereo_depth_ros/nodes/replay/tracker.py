@@ -25,6 +25,7 @@ class LostPair:
 class _Outstanding:
     stamp_ns: int
     sent_ns: int
+    last_sent_ns: int
     missing: set[str]
 
 
@@ -53,8 +54,12 @@ class PairTracker:
 
     def sent(self, stamp_ns: int, right_stamp_ns: int, now_ns: int) -> None:
         """A pair was sent; what is made of the right image alone may carry its stamp."""
-        pair = _Outstanding(stamp_ns, now_ns, set(self._topics))
+        pair = _Outstanding(stamp_ns, now_ns, now_ns, set(self._topics))
         self._outstanding[stamp_ns] = self._outstanding[right_stamp_ns] = pair
+
+    def sent_again(self, stamp_ns: int, now_ns: int) -> None:
+        """An outstanding pair was sent once more: latencies count from now, its patience from the first time."""
+        self._outstanding[stamp_ns].last_sent_ns = now_ns
 
     def received(self, topic: str, stamp_ns: int, now_ns: int) -> bool:
         """An output came; False where no pair waits for it."""
@@ -63,7 +68,7 @@ class PairTracker:
             return False
         pair.missing.discard(topic)
         self._topics[topic].received += 1
-        self._topics[topic].latencies_ms.append((now_ns - pair.sent_ns) / 1e6)
+        self._topics[topic].latencies_ms.append((now_ns - pair.last_sent_ns) / 1e6)
         if not pair.missing:
             self._forget(pair)
         return True
