@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -52,7 +52,6 @@ class _Input:
     subscription: Subscription | None = None
     received: int = 0
     received_before: int = 0
-    incompatible: list[str] = field(default_factory=list)
 
 
 class StereoNode(Node):  # type: ignore[misc]
@@ -74,6 +73,8 @@ class StereoNode(Node):  # type: ignore[misc]
         self.health = Health(self)
         self._outputs: list[Output] = []
         self._inputs: list[_Input] = []
+        self.on_idle: list[Callable[[], object]] = []  # called when no output is wanted any more
+        self._awake = False
         self.create_timer(_SILENCE_S, self._report_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def add_output(self, message_type: Any, topic: str) -> Output:
@@ -115,6 +116,10 @@ class StereoNode(Node):  # type: ignore[misc]
             elif not wanted and item.subscription is not None:
                 self.destroy_subscription(item.subscription)
                 item.subscription = None
+        if self._awake and not demand:
+            for forget in self.on_idle:
+                forget()
+        self._awake = demand
 
     def _subscribe(self, item: _Input) -> Subscription:
         def receive(message: Any) -> None:
@@ -124,7 +129,6 @@ class StereoNode(Node):  # type: ignore[misc]
 
         def incompatible(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind)
-            item.incompatible.append(policy)
             self.health.complain(
                 f"incompatible qos {item.topic}",
                 f"{self.resolve_topic_name(item.topic)}: a publisher offers less {policy} than is asked for, nothing "

@@ -37,6 +37,7 @@ class CalibrationInput:
         node.refuse_equal_topics(_LEFT, _RIGHT)
         for topic in (_LEFT, _RIGHT):
             node.add_input(CameraInfo, topic, functools.partial(self._receive, topic))
+        node.on_idle.append(self._forget)
 
     def with_rig(self, use: Callable[[StereoRig], None]) -> None:
         """Call ``use`` with the rig, now or as soon as it is known; dropped, and counted, while it is not valid.
@@ -51,6 +52,13 @@ class CalibrationInput:
             # Not before something needs it: when both camera infos change, one of them comes first.
             self._rig = self._make_rig()
         use(self._rig)
+
+    def _forget(self) -> None:
+        """After a rest the cameras may be others, and an image may come before its camera info."""
+        self._infos.clear()
+        self._contents.clear()
+        self._waiting.clear()
+        self._rig = None
 
     def _wait(self, use: Callable[[StereoRig], None]) -> None:
         self._waiting.append(use)

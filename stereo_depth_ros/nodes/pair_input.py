@@ -35,6 +35,8 @@ class PairInput:
         self._topics = (left, right)
         self._on_pair = on_pair
         self._backwards = 0
+        # What comes after a rest is another stream: its stamps may lie before those of the last one.
+        node.on_idle.append(self._pairing.flush)
 
     def add_left(self, message: Any) -> None:
         """A message of the left topic."""

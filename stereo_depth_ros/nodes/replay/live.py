@@ -17,6 +17,9 @@ from stereo_depth_ros.replay_report import ReplayResult
 
 __all__ = ["replay_through_graph"]
 
+# What the nodes of either shape subscribe, an eye.
+_EYE_INPUTS = ("camera_info", "image_raw", "image_raw/compressed", "image_rect", "image_rect_color")
+
 
 def replay_through_graph(
     options: ReplayOptions,
@@ -43,6 +46,8 @@ def replay_through_graph(
     with BagPairs(options.selection, config.pairing) as pairs:
         transport = "compressed" if pairs.topics.compressed else "raw"
     all_parameters = {**parameters, "image_transport": transport}
+    if not options.realtime:
+        all_parameters |= _reliable_inputs()
     if options.clock:
         all_parameters["use_sim_time"] = True
     with (
@@ -51,3 +56,9 @@ def replay_through_graph(
     ):
         graph.wait_until_ready()
         return replay(options, progress, graph.check, config)
+
+
+def _reliable_inputs() -> dict[str, str]:
+    """Overrides that make every subscription reliable: nothing is lost even without the transport profile."""
+    eyes = [f"/{eye}/{name}" for eye in ("left", "right") for name in _EYE_INPUTS]
+    return {f"qos_overrides.{topic}.subscription.reliability": "reliable" for topic in (*eyes, "/disparity")}
