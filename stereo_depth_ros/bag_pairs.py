@@ -12,7 +12,9 @@ from types import TracebackType
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.errors import BagError, ConfigError, TopicError
 from stereo_depth_ros.io.bag_reader import BagMessage, BagReader
+from stereo_depth_ros.io.camera_info_message import camera_from_info, camera_info_message
 from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns, with_stamp
+from stereo_depth_ros.io.message_types import RosbagsTypes
 from stereo_depth_ros.io.stereo_topics import StereoTopics, find_stereo_topics
 from stereo_depth_ros.pairing import StereoPairing
 
@@ -79,7 +81,8 @@ class BagPairs:
     """An open stereo bag.
 
     A pair carries the camera infos that were read last before it (the bag's first ones before that), stamped as its
-    images: infos that a driver sent once only serve the whole bag.
+    images: infos that a driver sent once only serve the whole bag. Where the names of the topics say that the images
+    are rectified, the infos say so too, so that they are not rectified again.
 
     Args:
         selection: which bag, topics and part of it.
@@ -98,6 +101,7 @@ class BagPairs:
     def __init__(self, selection: BagSelection, pairing: PairingConfig) -> None:
         self._selection = selection
         self._pairing_config = pairing
+        self._types = RosbagsTypes()
         self._reader = BagReader(selection.path)
         try:
             self.topics, self._info_topics = self._find_topics()
@@ -118,7 +122,7 @@ class BagPairs:
         infos = self._first_infos()
         for message in self._messages():
             if message.topic in infos:
-                infos[message.topic] = message.data
+                infos[message.topic] = self._info_of_images(message)
                 continue
             is_left = message.topic == self.topics.left_image
             add = pairing.add_left if is_left else pairing.add_right
@@ -160,8 +164,15 @@ class BagPairs:
             first = next(self._reader.messages([topic]), None)
             if first is None:
                 raise BagError(f"{self._selection.path}: {topic} has no messages: record the camera infos too")
-            infos[topic] = first.data
+            infos[topic] = self._info_of_images(first)
         return infos
+
+    def _info_of_images(self, message: BagMessage) -> bytes:
+        """The camera info, without what has been done already to images that are rectified."""
+        if not self.topics.rectified:
+            return message.data
+        camera = camera_from_info(self._reader.deserialize(message), message.topic).rectified()
+        return self._types.serialize(camera_info_message(self._types, camera, cdr_stamp_ns(message.data)))
 
     def _messages(self) -> Iterator[BagMessage]:
         start_ns = self._reader.start_ns + round(1e9 * self._selection.start_seconds)

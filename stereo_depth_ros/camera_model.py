@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,10 @@ class CameraModel:
                 raise CalibrationError(f"{name} has {values.size} values, it takes 3 x {columns}: write all of them")
             object.__setattr__(self, name, values.reshape(3, columns))
         object.__setattr__(self, "D", np.array(self.D, dtype=np.float64).ravel())
+
+    def rectified(self) -> CameraModel:
+        """The camera whose raw images are this one's rectified images: K of P, no distortion, no rotation."""
+        return replace(self, distortion_model="plumb_bob", K=self.P[:, :3], D=np.zeros(5), R=np.eye(3))
 
 
 def check_intrinsics(camera: CameraModel, label: str) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 from stereo_bags import cut, later, sequence, write_odd_bag, write_truth_bag
 
@@ -14,9 +15,11 @@ from stereo_depth_ros.bag_pairs import BagPairs, BagSelection
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.errors import BagError, ConfigError, MessageError, TopicError
 from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.io.camera_info_message import camera_info_message
 from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns, with_stamp
 from stereo_depth_ros.io.image_message import image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.stereo_rig import StereoRig
 
 EXACT = PairingConfig()
 
@@ -41,6 +44,25 @@ def test_pairs_have_equal_stamps_and_infos_stamped_as_their_images(odd_bag: Path
     types = RosbagsTypes()
     info = types.deserialize(pairs[2].right_info, "sensor_msgs/msg/CameraInfo")
     assert info.p[3] == pytest.approx(made.rig.right.P[0, 3]), "the only info of the bag, at its beginning"
+
+
+def test_rectified_images_are_not_rectified_again(tmp_path: Path) -> None:
+    """A driver that rectifies sends the camera infos of the raw cameras with image_rect."""
+    path, frame, rig, types = tmp_path / "rect.mcap", sequence(1)[0], sequence(1).rig, RosbagsTypes()
+    with BagWriter(path) as bag:
+        for eye, image, camera in (("left", frame.pair.left, rig.left), ("right", frame.pair.right, rig.right)):
+            bag.write(f"/{eye}/image_rect", image_message(types, image.pixels, "mono8", 5, eye), 5)
+            bag.write(f"/{eye}/camera_info", camera_info_message(types, camera, 4), 4)
+    with BagPairs(BagSelection(path), EXACT) as bag:
+        pair = next(iter(bag.pairs()))
+    infos = [types.deserialize(data, "sensor_msgs/msg/CameraInfo") for data in (pair.left_info, pair.right_info)]
+    read = StereoRig.from_infos(*infos)
+    np.testing.assert_array_equal(read.Q, rig.Q)
+    for camera, source in ((read.left, rig.left), (read.right, rig.right)):
+        assert source.D.any()
+        assert not camera.D.any()
+        np.testing.assert_array_equal(camera.R, np.eye(3))
+        np.testing.assert_array_equal(camera.K, source.P[:, :3])
 
 
 def test_part_of_a_bag_by_seconds(odd_bag: Path) -> None:

@@ -88,7 +88,5 @@ def rectified_camera_info(types: MessageTypes, left: CameraModel, stamp_ns: int,
     Its K is the rectified one, D zero, R the identity; arguments as for :func:`camera_info_message`.
     """
     K = left.P[:, :3]
-    camera = replace(
-        left, distortion_model="plumb_bob", K=K, D=np.zeros(5), R=np.eye(3), P=np.column_stack([K, np.zeros(3)])
-    )
+    camera = replace(left.rectified(), P=np.column_stack([K, np.zeros(3)]))
     return camera_info_message(types, camera, stamp_ns, frame_id)
