@@ -96,7 +96,12 @@ def environment() -> dict[str, str]:
     """That of a user who has set nothing, in a ROS domain of these tests."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(OWN_SETTINGS)}
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return {**kept, "PYTHONPATH": path, "ROS_DOMAIN_ID": "62", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return {
+        **kept,
+        "PYTHONPATH": path,
+        "ROS_DOMAIN_ID": str(90 + os.getpid() % 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
 
 
 @contextmanager

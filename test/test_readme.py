@@ -181,7 +181,11 @@ def run_in(folder: Path, arguments: list[str]) -> subprocess.CompletedProcess[st
     """`stereo-depth` in a folder that has the sample bag where the README has it."""
     (folder / "bags").symlink_to(ROOT / "bags")
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    environment = {"PYTHONPATH": path, "ROS_DOMAIN_ID": "68", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment = {
+        "PYTHONPATH": path,
+        "ROS_DOMAIN_ID": str(10 + os.getpid() % 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
     return subprocess.run(
         [sys.executable, "-m", "stereo_depth_ros.cli", *arguments],
         cwd=folder,

@@ -99,7 +99,11 @@ def play(bag: Path, shape: str, parameters: dict[str, Any], output: Path) -> Pla
     """Play a bag through a graph of its own."""
     pytest.importorskip("rclpy", reason="graph tests need ROS 2")
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    environment = {"PYTHONPATH": path, "ROS_DOMAIN_ID": "61", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment = {
+        "PYTHONPATH": path,
+        "ROS_DOMAIN_ID": str(10 + os.getpid() % 10),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
     done = subprocess.run(
         [sys.executable, "-c", PLAY, json.dumps([str(bag), str(output), shape, parameters])],
         env={**os.environ, **environment},
