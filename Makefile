@@ -40,6 +40,11 @@ clean: ## remove environments and everything built
 
 venv: $(STAMP) ## set up the Python environment (the others do so too)
 
+# Prints the version of numpy where ROS 2 is sourced; an rclpy inside an active virtual environment is not the system's.
+SYSTEM_ROS := import sys, numpy, rclpy, stereo_msgs.msg; \
+  own = sys.prefix != sys.base_prefix and rclpy.__file__.startswith(sys.prefix); \
+  print(numpy.__version__); sys.exit(own)
+
 # Where ROS 2 is sourced its rclpy is used, with the numpy it was built for; elsewhere the wheels of the extra [ros].
 $(STAMP): setup.py setup.cfg package.xml
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not there: install it, or make ... PYTHON=python3.x" >&2; exit 1; }
@@ -47,7 +52,7 @@ $(STAMP): setup.py setup.cfg package.xml
 	  || { echo "$$($(PYTHON) -V) is not among Python 3.10 to 3.13: make ... PYTHON=python3.12" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null \
 	  || { echo "$(PYTHON) has no venv: on Debian and Ubuntu, sudo apt install python3-venv" >&2; exit 1; }
-	@if numpy=$$($(PYTHON) -c 'import numpy, rclpy, stereo_msgs.msg; print(numpy.__version__)' 2>/dev/null); then \
+	@if numpy=$$($(PYTHON) -c '$(SYSTEM_ROS)' 2>/dev/null); then \
 	  set -x && $(PYTHON) -m venv --system-site-packages $(VENV) \
 	  && $(BIN)/python -m pip install --quiet --editable '.[test]' "numpy==$$numpy"; \
 	else \

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import yaml  # type: ignore[import-untyped]
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, PipelineConfig, parameter_infos, replace_checked
 from stereo_depth_ros.errors import ConfigError
@@ -38,8 +39,8 @@ def parse_assignments(assignments: Iterable[str], matcher: str | None = None) ->
         if not separator:
             raise ConfigError(f"parameter {text!r} is not of the form name:=value, for example disparity_range:=128")
         try:
-            values[name] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
+            values[name] = _load(value)
+        except YAMLError as error:
             raise ConfigError(
                 f"parameter {name}: {value!r} is no value ({error}): write a number, word or bool"
             ) from error
@@ -54,8 +55,8 @@ def read_params_file(path: Path) -> dict[str, Value]:
         ConfigError: cannot be read, is no parameter file, or holds a name or value that is refused.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        content = _load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, YAMLError) as error:
         raise ConfigError(f"{path} is not a parameter file: {error}") from error
     sections = [*content.values()] if isinstance(content, Mapping) else [None]
     infos = _infos()
@@ -82,6 +83,13 @@ def pipeline_config(values: Mapping[str, Value]) -> PipelineConfig:
         names = {info.name for info in parameter_infos(stage)}
         stages.append(replace_checked(stage(), {name: value for name, value in values.items() if name in names}))
     return PipelineConfig(*stages)  # type: ignore[arg-type]
+
+
+def _load(text: str) -> Any:
+    """The value of a YAML text, by the rules of YAML 1.1 as in ROS: yes and on are true."""
+    yaml = YAML(typ="safe", pure=True)
+    yaml.version = (1, 1)
+    return yaml.load(text)
 
 
 def _infos() -> dict[str, ParameterInfo]:
