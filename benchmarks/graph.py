@@ -47,7 +47,6 @@ NODES = {
     "separate": ("rectify_node", "disparity_node", "point_cloud_node"),
 }
 TIMEOUT_S = 20.0
-SETTLE_S = 1.0  # both ends of each link must have found the other before a best-effort message goes through
 
 
 @dataclass
@@ -108,9 +107,12 @@ class Harness:
                 missing = [t for t, p in self._publishers.items() if not p.get_subscription_count()]
                 raise TimeoutError(f"nobody subscribed {missing} within {TIMEOUT_S:g} s")
             self._executor.spin_once(timeout_sec=0.1)
-        settled = time.monotonic() + SETTLE_S
-        while time.monotonic() < settled:
-            self._executor.spin_once(timeout_sec=0.1)
+        # Both ends of each link must have found the other before best-effort messages go through: try until one has.
+        while not self.wait(1, timeout_s=2.0):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"no cloud and disparity within {TIMEOUT_S:g} s")
+            self.send(self.messages())
+        self.wait(sys.maxsize, timeout_s=1.0)  # what the tries still bring
 
     def messages(self) -> dict[str, bytes]:
         """The next pair, serialised; all four topics."""

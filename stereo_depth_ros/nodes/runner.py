@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import signal
 from collections.abc import Callable
 
@@ -18,6 +19,7 @@ from stereo_depth_ros.transport import prepare_process
 
 __all__ = ["run"]
 
+_SHUTDOWN_TIMEOUT_S = 4.0
 RCLError = rclpy_implementation.RCLError
 
 
@@ -52,9 +54,13 @@ def run(make_node: Callable[[], Node]) -> int:
             raise
         # A signal came between two calls: the context is gone, and with it what was asked for.
     finally:
+        # Fast DDS 2.14 can hang while it deletes a participant, with the interpreter lock held: then the process ends,
+        # with exit code 1 and the traceback, from a thread that needs no lock.
+        faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT_S, exit=True)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
     return 0
 
 

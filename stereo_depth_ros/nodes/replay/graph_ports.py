@@ -37,6 +37,9 @@ _INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _MOST_COMPLAINTS = 3  # what comes later usually follows from these
 
+_UNSUBSCRIBE_TIMEOUT_S = 1.0  # somebody else may be listening, and the nodes stay awake
+_SETTLE_S = 0.2
+
 
 class GraphPorts:
     """Everything of the replay that touches DDS; bytes are passed on as they are.
@@ -141,7 +144,19 @@ class GraphPorts:
         self._node.get_logger().warning(text)
 
     def close(self) -> None:
-        """Stop the executor; the node and its endpoints stay the caller's."""
+        """Stop listening, let the nodes unsubscribe, stop the executor; the node stays the caller's.
+
+        Lazy nodes unsubscribe their inputs once nobody listens. Fast DDS 2.14 can hang for good when a participant is
+        deleted in the very moment in which endpoints of another one go: so they go first.
+        """
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        end = time.monotonic() + _UNSUBSCRIBE_TIMEOUT_S
+        while any(p.get_subscription_count() for p in self._publishers.values()) and time.monotonic() < end:
+            self.spin(0.05)
+        settled = time.monotonic() + _SETTLE_S
+        while time.monotonic() < settled:
+            self.spin(0.05)
         self._executor.shutdown()
 
     def _topics(self) -> list[str]:
