@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.depth import reject_behind
-from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.parallel import compiled, run_bands
 from stereo_depth_ros.rectification import Rectifier
 from stereo_depth_ros.stereo_rig import StereoRig
@@ -34,7 +34,7 @@ class DisparityStage:
     """
 
     def __init__(self, config: MatchingConfig, rig: StereoRig) -> None:
-        self._matcher = create_matcher(config.stereo_algorithm, config)
+        self._matcher = matcher_from_config(config)
         self._doffs_px = rig.doffs_px
         self._eye_order = EyeOrder(rig.doffs_px)
         rectifier = Rectifier(rig)
