@@ -56,7 +56,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "stereo-depth = stereo_depth_ros.cli:main",
+            "stereo-depth = stereo_depth_ros.cli.main:main",
             *(f"{node} = stereo_depth_ros.nodes.{node}:main" for node in NODES),
         ]
     },

@@ -9,8 +9,9 @@ options, the README's table) is made from the metadata here.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -26,6 +27,7 @@ __all__ = [
     "PipelineConfig",
     "parameter_infos",
     "replace_checked",
+    "unknown_parameter",
 ]
 
 ConfigT = TypeVar("ConfigT")
@@ -46,6 +48,16 @@ class ParameterInfo:
     unit: str = ""
     choices: tuple[str, ...] = ()
     run_time: bool = True
+
+    @property
+    def range_text(self) -> str:
+        """Range, step and unit, or the choices, in words; empty where there is none."""
+        if self.choices:
+            return ", ".join(self.choices)
+        if self.low is None or self.high is None:
+            return self.unit
+        step = f" in steps of {self.step:g}" if self.step else ""
+        return f"{self.low:g} to {self.high:g}{step} {self.unit}".rstrip()
 
     def check(self, value: Any) -> bool | int | float | str:
         """The value in the parameter's type; ConfigError with value, limit and remedy where it cannot be."""
@@ -95,6 +107,13 @@ def parameter_infos(config: type | object) -> Iterator[ParameterInfo]:
         )
 
 
+def unknown_parameter(name: str, known: Iterable[str]) -> ConfigError:
+    """The error to raise for a name that no parameter has; it names the one that was probably meant."""
+    close = difflib.get_close_matches(name, known, 1)
+    remedy = f"did you mean {close[0]!r}?" if close else "`stereo-depth parameters` lists all"
+    return ConfigError(f"unknown parameter {name!r}: {remedy}")
+
+
 class _Checked:
     """Checks every field against its metadata when the object is made."""
 
@@ -112,9 +131,7 @@ def replace_checked(config: ConfigT, changes: Mapping[str, Any]) -> ConfigT:
     fields = {key: info.field for info in parameter_infos(config) for key in (info.name, info.field)}
     for key in changes:
         if key not in fields:
-            raise ConfigError(
-                f"unknown parameter {key!r}: known are {', '.join(i.name for i in parameter_infos(config))}"
-            )
+            raise unknown_parameter(key, fields)
     return dataclasses.replace(config, **{fields[key]: value for key, value in changes.items()})  # type: ignore[type-var]
 
 

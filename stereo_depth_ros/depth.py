@@ -13,7 +13,7 @@ from stereo_depth_ros.parallel import compiled, run_bands
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import F32, U8, Reason
 
-__all__ = ["Triangulation", "depth_from_disparity", "depth_sigma", "millimetres", "reject_behind"]
+__all__ = ["Triangulation", "depth_from_disparity", "depth_sigma", "millimetres", "pixel_depth", "reject_behind"]
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,13 @@ def millimetres(depth_m: F32, out: npt.NDArray[np.uint16] | None = None) -> npt.
 _F32 = "float32[:, ::1]"
 
 
+@compiled()
+def pixel_depth(disparity_px: np.float32, doffs_px: np.float32, f_baseline: np.float32) -> np.float32:
+    """Z of one disparity, metres; NaN where it is NaN or not above the offset."""
+    d = disparity_px - doffs_px
+    return f_baseline / d if d > np.float32(0) else np.float32(np.nan)
+
+
 @compiled(f"void(int64, int64, {_F32}, uint8[:, ::1], float32, uint8)")
 def _reject_behind(first: int, last: int, disparity_px: F32, reasons: U8, doffs: np.float32, reason: np.uint8) -> None:
     for y in range(first, last):
@@ -101,8 +108,7 @@ def _reject_behind(first: int, last: int, disparity_px: F32, reasons: U8, doffs:
 def _depth(first: int, last: int, disparity_px: F32, doffs: np.float32, f_baseline: np.float32, depth_m: F32) -> None:
     for y in range(first, last):
         for x in range(disparity_px.shape[1]):
-            d = disparity_px[y, x] - doffs
-            depth_m[y, x] = f_baseline / d if d > np.float32(0) else np.float32(np.nan)
+            depth_m[y, x] = pixel_depth(disparity_px[y, x], doffs, f_baseline)
 
 
 @compiled(f"void(int64, int64, {_F32}, uint16[:, ::1])")

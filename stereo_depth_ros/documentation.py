@@ -38,7 +38,7 @@ def render_table() -> str:
         for info in parameter_infos(stage):
             default = "`" + _yaml_value(info.default) + "`"
             meaning = info.doc if info.run_time else f"{info.doc} Fixed at start."
-            cells = (name, f"`{info.name}`", TYPE_NAMES[info.type], default, _range(info), meaning)
+            cells = (name, f"`{info.name}`", TYPE_NAMES[info.type], default, info.range_text, meaning)
             rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(rows)
 
@@ -97,20 +97,10 @@ def _yaml_stage(name: str, stage: object) -> str:
 
 
 def _yaml_facts(info: ParameterInfo) -> list[str]:
-    facts = [_range(info)] if _range(info) else []
+    facts = [info.range_text] if info.range_text else []
     if not info.run_time:
         facts.append("fixed at start")
     return [f"    # {'; '.join(facts)}"] if facts else []
-
-
-def _range(info: ParameterInfo) -> str:
-    """Range, step and unit, or the choices, in words; empty where there is none."""
-    if info.choices:
-        return ", ".join(info.choices)
-    if info.low is None or info.high is None:
-        return info.unit
-    step = f" in steps of {info.step:g}" if info.step else ""
-    return f"{info.low:g} to {info.high:g}{step} {info.unit}".rstrip()
 
 
 def _yaml_value(value: bool | int | float | str) -> str:

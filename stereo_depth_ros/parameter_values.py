@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,7 +11,14 @@ from typing import Any, TypeAlias
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, PipelineConfig, parameter_infos, replace_checked
+from stereo_depth_ros.config import (
+    STAGE_CONFIGS,
+    ParameterInfo,
+    PipelineConfig,
+    parameter_infos,
+    replace_checked,
+    unknown_parameter,
+)
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.matching import MATCHERS
 
@@ -98,7 +104,5 @@ def _infos() -> dict[str, ParameterInfo]:
 
 def _info(name: str, infos: Mapping[str, ParameterInfo]) -> ParameterInfo:
     if name not in infos:
-        close = difflib.get_close_matches(name, infos, 1)
-        remedy = f"did you mean {close[0]!r}?" if close else "`stereo-depth parameters` lists all"
-        raise ConfigError(f"unknown parameter {name!r}: {remedy}")
+        raise unknown_parameter(name, infos)
     return infos[name]

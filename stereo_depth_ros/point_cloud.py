@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_depth_ros.config import CloudConfig
-from stereo_depth_ros.depth import Triangulation
+from stereo_depth_ros.depth import Triangulation, pixel_depth
 from stereo_depth_ros.errors import ImageError
 from stereo_depth_ros.parallel import compiled, run_bands
 from stereo_depth_ros.types import F32, U8
@@ -104,8 +104,7 @@ def _pack_xyz(
 ) -> None:
     for v in range(first, last):
         for u in range(disparity_px.shape[1]):
-            d = disparity_px[v, u] - doffs
-            z = f_baseline / d if d > np.float32(0) else np.float32(np.nan)
+            z = pixel_depth(disparity_px[v, u], doffs, f_baseline)
             xyz[v, u, 0] = rays_x[u] * z
             xyz[v, u, 1] = rays_y[v] * z
             xyz[v, u, 2] = z
@@ -133,8 +132,7 @@ def _pack_xyz_rgb(
 ) -> None:
     for v in range(first, last):
         for u in range(disparity_px.shape[1]):
-            d = disparity_px[v, u] - doffs
-            z = f_baseline / d if d > np.float32(0) else np.float32(np.nan)
+            z = pixel_depth(disparity_px[v, u], doffs, f_baseline)
             xyz[v, u, 0] = rays_x[u] * z
             xyz[v, u, 1] = rays_y[v] * z
             xyz[v, u, 2] = z

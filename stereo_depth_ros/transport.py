@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.installed_files import installed_files
 
 __all__ = ["Setting", "TransportReport", "prepare_process", "profile_path"]
 
@@ -68,13 +69,9 @@ def profile_path() -> Path:
     Raises:
         ConfigError: it is in neither.
     """
-    here = Path(__file__).resolve()
-    in_source = here.parents[1] / "config" / "fastdds.xml"
-    installed = (folder / "share" / "stereo_depth_ros" / "config" / "fastdds.xml" for folder in here.parents)
-    for path in (in_source, *installed):
-        if path.is_file():
-            return path
-    raise ConfigError(f"no config/fastdds.xml belongs to {here}: install the package again, with its share folder")
+    for path in installed_files("config/fastdds.xml"):
+        return path
+    raise ConfigError(f"no config/fastdds.xml belongs to {__file__}: install the package again, with its share folder")
 
 
 def _set_profile(environment: MutableMapping[str, str]) -> Setting:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from stereo_bags import cut, later, sequence, write_odd_bag, write_truth_bag
 
-from stereo_depth_ros.bag_pairs import BagPairs, BagSelection
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.errors import BagError, ConfigError, MessageError, TopicError
 from stereo_depth_ros.io.bag_writer import BagWriter
@@ -19,6 +18,7 @@ from stereo_depth_ros.io.camera_info_message import camera_info_message
 from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns, with_stamp
 from stereo_depth_ros.io.image_message import image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.replay.bag_pairs import BagPairs, BagSelection
 from stereo_depth_ros.stereo_rig import StereoRig
 
 EXACT = PairingConfig()

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.bag_preview import save_bag_preview
 from stereo_depth_ros.errors import BagError
 from stereo_depth_ros.io.bag_writer import BagWriter
 from stereo_depth_ros.io.disparity_message import disparity_message
 from stereo_depth_ros.io.image_message import image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.replay.bag_preview import save_bag_preview
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.view.preview import preview
 

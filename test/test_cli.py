@@ -14,8 +14,9 @@ import cv2
 import pytest
 from stereo_bags import PARAMETERS, messages_of, write_odd_bag, write_truth_bag
 
-from stereo_depth_ros import cli, graph_runner
+from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.io.bag_reader import BagReader
+from stereo_depth_ros.replay import graph_runner
 
 Run = Callable[..., tuple[int, str, str]]
 PARAM_ARGUMENTS = [text for name, value in PARAMETERS.items() for text in ("--param", f"{name}:={value}")]

@@ -69,7 +69,7 @@ def test_names_are_unique_over_all_stages_and_every_one_is_explained() -> None:
         ({"uniqueness_ratio": float("nan")}, r"uniqueness_ratio = nan"),
         ({"P1": "200"}, r"P1 = '200' is str, it takes float"),
         ({"stereo_algorithm": True}, r"stereo_algorithm = True is bool, it takes int"),
-        ({"disparity_rage": 64}, r"unknown parameter 'disparity_rage': known are stereo_algorithm"),
+        ({"disparity_rage": 64}, r"unknown parameter 'disparity_rage': did you mean 'disparity_range'"),
         ({"stereo_algorithm": 1, "P1": 500.0}, r"P2 = 400 is not above P1 = 500: raise P2 or lower P1"),
     ],
 )

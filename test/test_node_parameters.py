@@ -218,7 +218,7 @@ def test_change_that_the_images_are_too_small_for_is_told_and_can_be_undone(runn
             ConfigError,
             "unknown parameter 'disparity_rnage': did you mean 'disparity_range'",
         ),
-        ({"foo_bar_baz": 1}, {}, ConfigError, "unknown parameter 'foo_bar_baz': see the table"),
+        ({"foo_bar_baz": 1}, {}, ConfigError, "unknown parameter 'foo_bar_baz': `stereo-depth parameters` lists all"),
         ({"queue_size": 0}, {}, ConfigError, r"queue_size = 0 is outside 1\.\.1000: set it inside"),
         ({"queue_size": "'5'"}, {}, ConfigError, "queue_size = '5' is str, it takes int"),
         ({"image_transport": "theora"}, {}, ConfigError, "'theora' is none of raw, compressed"),

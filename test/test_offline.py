@@ -11,15 +11,15 @@ import pytest
 from mcap.reader import make_reader
 from stereo_bags import HEIGHT, PARAMETERS, WIDTH, median_relative_depth_error, messages_of, sequence, write_truth_bag
 
-from stereo_depth_ros.bag_pairs import BagSelection
 from stereo_depth_ros.errors import BagError
 from stereo_depth_ros.io.bag_reader import BagReader
 from stereo_depth_ros.io.bag_writer import BagWriter
 from stereo_depth_ros.io.camera_info_message import camera_info_message
 from stereo_depth_ros.io.image_message import image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.offline import process_bag
 from stereo_depth_ros.parameter_values import pipeline_config
+from stereo_depth_ros.replay.bag_pairs import BagSelection
+from stereo_depth_ros.replay.offline import process_bag
 
 FRAMES = 3
 TOPICS = ("/left/image_rect", "/left/image_rect_color", "/right/image_rect", "/disparity", "/depth/image_rect",

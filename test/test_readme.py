@@ -20,7 +20,7 @@ import pytest
 import typer
 from stereo_bags import messages_of
 
-from stereo_depth_ros import cli
+from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.io.calibration_yaml import write_camera
 from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
 from stereo_depth_ros.rectification import Rectifier
@@ -187,7 +187,7 @@ def run_in(folder: Path, arguments: list[str]) -> subprocess.CompletedProcess[st
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     return subprocess.run(
-        [sys.executable, "-m", "stereo_depth_ros.cli", *arguments],
+        [sys.executable, "-m", "stereo_depth_ros.cli.main", *arguments],
         cwd=folder,
         env={**os.environ, **environment},
         capture_output=True,

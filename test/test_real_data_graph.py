@@ -21,7 +21,6 @@ import numpy as np
 import pytest
 from stereo_bags import messages_of
 
-from stereo_depth_ros.bag_pairs import BagSelection
 from stereo_depth_ros.io.bag_reader import BagReader
 from stereo_depth_ros.io.bag_writer import BagWriter
 from stereo_depth_ros.io.camera_info_message import camera_info_message
@@ -32,8 +31,9 @@ from stereo_depth_ros.io.datasets.middlebury import MiddleburyDataset
 from stereo_depth_ros.io.datasets.to_bag import convert_dataset
 from stereo_depth_ros.io.image_message import compressed_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.offline import process_bag
 from stereo_depth_ros.parameter_values import pipeline_config
+from stereo_depth_ros.replay.bag_pairs import BagSelection
+from stereo_depth_ros.replay.offline import process_bag
 from stereo_depth_ros.types import F32, U8
 
 pytestmark = [pytest.mark.graph, pytest.mark.real_data]
@@ -65,7 +65,7 @@ import json, sys
 from stereo_depth_ros.nodes.replay.live import replay_through_graph
 from stereo_depth_ros.nodes.replay.tracker import PairTracker
 from stereo_depth_ros.parameter_values import pipeline_config
-from stereo_depth_ros.replay_options import ReplayOptions
+from stereo_depth_ros.replay.options import ReplayOptions
 
 bag, output, shape, parameters = json.loads(sys.argv[1])
 received, sort_out = [], PairTracker.received

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -13,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
-from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, parameter_infos, replace_checked
+from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, parameter_infos, replace_checked, unknown_parameter
 from stereo_depth_ros.errors import ConfigError
 
 __all__ = ["NodeParameters"]
@@ -80,9 +79,7 @@ def _refuse_unknown(overrides: dict[str, Any]) -> None:
     known = {*_ROS_OWN, *(name for config in STAGE_CONFIGS for name in _names(config))}
     for name in overrides:
         if name not in known and not name.startswith(_QOS_OVERRIDES):
-            close = difflib.get_close_matches(name, known, 1)
-            remedy = f"did you mean {close[0]!r}?" if close else "see the table of parameters in the README"
-            raise ConfigError(f"unknown parameter {name!r}: {remedy}")
+            raise unknown_parameter(name, known)
 
 
 def _refuse_unknown_qos(overrides: dict[str, Any]) -> None:

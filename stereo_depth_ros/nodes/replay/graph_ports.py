@@ -17,10 +17,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
-from stereo_depth_ros.bag_pairs import SerializedPair
 from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
 from stereo_depth_ros.nodes.replay.recorder import Recorder
-from stereo_depth_ros.replay_report import stage_timings
+from stereo_depth_ros.replay.bag_pairs import SerializedPair
+from stereo_depth_ros.replay.report import stage_timings
 
 __all__ = ["GraphPorts"]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stereo_depth_ros.bag_score import BagScore
+from stereo_depth_ros.replay.bag_score import BagScore
 
 __all__ = ["OutputStats", "ReplayResult", "percentile", "stage_timings"]
 

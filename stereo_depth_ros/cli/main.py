@@ -14,18 +14,19 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_depth_ros.bag_pairs import BagSelection
-from stereo_depth_ros.bag_preview import save_bag_preview
-from stereo_depth_ros.cli_convert import convert_app, synthesize
-from stereo_depth_ros.cli_output import messages, progress_bar, show
-from stereo_depth_ros.cli_tables import info_tables, info_values, parameters_table, parameters_values, result_tables
+from stereo_depth_ros.cli.convert import convert_app, synthesize
+from stereo_depth_ros.cli.output import messages, progress_bar, show
+from stereo_depth_ros.cli.tables import info_tables, info_values, parameters_table, parameters_values, result_tables
 from stereo_depth_ros.errors import BagError, StereoDepthError
-from stereo_depth_ros.graph_runner import require_ros
+from stereo_depth_ros.installed_files import installed_files
 from stereo_depth_ros.io.bag_info import inspect_bag
-from stereo_depth_ros.offline import process_bag
 from stereo_depth_ros.parameter_values import Value, parse_assignments, pipeline_config, read_params_file
-from stereo_depth_ros.replay_options import ReplayOptions
-from stereo_depth_ros.replay_report import ReplayResult
+from stereo_depth_ros.replay.bag_pairs import BagSelection
+from stereo_depth_ros.replay.bag_preview import save_bag_preview
+from stereo_depth_ros.replay.graph_runner import require_ros
+from stereo_depth_ros.replay.offline import process_bag
+from stereo_depth_ros.replay.options import ReplayOptions
+from stereo_depth_ros.replay.report import ReplayResult
 
 __all__ = ["app", "main"]
 
@@ -225,13 +226,9 @@ def _check_output(bag: Path, output: Path) -> None:
 
 
 def _sample_bag() -> Path:
-    """The sample bag: in ``bags/`` of the source tree, or in ``share/stereo_depth_ros/bags`` of the prefix."""
-    here = Path(__file__).resolve()
-    folders = (here.parents[1] / "bags", *(folder / "share" / "stereo_depth_ros" / "bags" for folder in here.parents))
-    for folder in folders:
-        for bag in sorted(folder.glob("*.mcap")):
-            return bag
-    raise BagError(f"no sample bag belongs to {here}: make one with `stereo-depth synthesize bags/room.mcap`")
+    for bag in installed_files("bags/*.mcap"):
+        return bag
+    raise BagError(f"no sample bag belongs to {__file__}: make one with `stereo-depth synthesize bags/room.mcap`")
 
 
 if __name__ == "__main__":

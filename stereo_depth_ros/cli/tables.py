@@ -12,9 +12,9 @@ from typing import Any
 
 from rich.table import Table
 
-from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, parameter_infos
+from stereo_depth_ros.config import STAGE_CONFIGS, parameter_infos
 from stereo_depth_ros.io.bag_info import BagInfo
-from stereo_depth_ros.replay_report import ReplayResult
+from stereo_depth_ros.replay.report import ReplayResult
 
 __all__ = ["info_tables", "info_values", "parameters_table", "parameters_values", "result_tables"]
 
@@ -70,7 +70,7 @@ def parameters_table() -> Table:
     table = _table("parameter", "default:r", "range", "meaning")
     for stage in STAGE_CONFIGS:
         for info in parameter_infos(stage):
-            table.add_row(info.name, str(info.default), _range(info), info.doc)
+            table.add_row(info.name, str(info.default), info.range_text, info.doc)
         table.add_section()
     return table
 
@@ -144,12 +144,3 @@ def _facts() -> Table:
 
 def _ms(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2f}"
-
-
-def _range(info: ParameterInfo) -> str:
-    if info.choices:
-        return ", ".join(info.choices)
-    if info.low is None or info.high is None:
-        return info.unit
-    step = f" step {info.step:g}" if info.step else ""
-    return f"{info.low:g}..{info.high:g}{step} {info.unit}".strip()

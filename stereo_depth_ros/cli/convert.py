@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_depth_ros.cli_output import messages, progress_bar
+from stereo_depth_ros.cli.output import messages, progress_bar
 from stereo_depth_ros.io.datasets import StereoDataset
 from stereo_depth_ros.io.datasets.euroc import EurocDataset
 from stereo_depth_ros.io.datasets.images import ImagesDataset

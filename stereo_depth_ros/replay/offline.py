@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from stereo_depth_ros.bag_pairs import BagPairs, BagSelection, SerializedPair
-from stereo_depth_ros.bag_score import score_disparity
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.errors import BagError, StereoDepthError
 from stereo_depth_ros.io.bag_writer import BagWriter
@@ -20,8 +18,10 @@ from stereo_depth_ros.io.image_message import decode
 from stereo_depth_ros.io.message_types import RosbagsTypes
 from stereo_depth_ros.io.result_messages import ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
-from stereo_depth_ros.provenance import provenance
-from stereo_depth_ros.replay_report import ReplayResult, percentile
+from stereo_depth_ros.replay.bag_pairs import BagPairs, BagSelection, SerializedPair
+from stereo_depth_ros.replay.bag_score import score_disparity
+from stereo_depth_ros.replay.provenance import provenance
+from stereo_depth_ros.replay.report import ReplayResult, percentile
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import StereoPair
 
