@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from stereo_depth_ros import transport
+from stereo_depth_ros import installed_files, transport
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.transport import prepare_process, profile_path
 
@@ -113,7 +113,7 @@ def test_profile_keeps_udp_beside_shared_memory() -> None:
 def test_profile_is_found_in_the_prefix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, site: str) -> None:
     package = tmp_path / site / "stereo_depth_ros"
     shared = tmp_path / "share" / "stereo_depth_ros" / "config" / "fastdds.xml"
-    monkeypatch.setattr(transport, "__file__", str(package / "transport.py"))
+    monkeypatch.setattr(installed_files, "__file__", str(package / "transport.py"))
     with pytest.raises(ConfigError, match=r"no config/fastdds.xml belongs to .*: install the package again"):
         prepare_process()
     shared.parent.mkdir(parents=True)
