@@ -51,8 +51,8 @@ class BlockMatcher:
         largest_sum = config.correlation_window_size**2 * 2 * config.prefilter_cap
         # An empty array that tells the kernel in which type to sum: 16 bits are twice as many at once.
         self._sum_type: Sums = np.empty(0, np.uint16) if largest_sum < 2**16 else np.empty(0, np.uint32)
-        self._filtered = np.empty((2, 0, 0), np.uint8)
-        self._fixed = np.empty((0, 0), np.int16)
+        self._filtered: U8 = np.empty((2, 0, 0), np.uint8)
+        self._fixed: I16 = np.empty((0, 0), np.int16)
 
     def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
         """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""

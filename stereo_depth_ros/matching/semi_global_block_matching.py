@@ -52,7 +52,7 @@ class SemiGlobalBlockMatcher:
         self.config = config
         self._invalid = (config.min_disparity - 1) * FIXED_STEPS
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * FIXED_STEPS)
-        self._fixed = np.empty((0, 0), np.int16)
+        self._fixed: I16 = np.empty((0, 0), np.int16)
         self._sgbm = cv2.StereoSGBM.create(
             minDisparity=config.min_disparity,
             numDisparities=config.num_disparities,

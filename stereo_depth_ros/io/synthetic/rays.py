@@ -37,7 +37,7 @@ _FLOATS, _MATRIX = "float64[::1]", "float64[:, ::1]"
 def _lattice(a: int, b: int, c: int, key: int) -> float:
     """A number in [-1, 1) for a lattice point: multiplicative hashing, the upper bits are well mixed."""
     h = (np.uint64(a) * _C1) ^ (np.uint64(b) * _C2) ^ (np.uint64(c) * _C3) ^ (np.uint64(key) * _C5)
-    return np.int64(((h ^ (h >> _S30)) * _C4) >> _S40) / 8388608.0 - 1.0
+    return float(np.int64(((h ^ (h >> _S30)) * _C4) >> _S40) / 8388608.0 - 1.0)
 
 
 @compiled()

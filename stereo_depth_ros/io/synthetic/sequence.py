@@ -158,7 +158,8 @@ class SyntheticSequence(Sequence[SyntheticFrame]):
         x_m, y_m = (x - rig.cx_left) / rig.f_px * depth_m, (y - rig.cy) / rig.fy_px * depth_m
         x_right = (x_m - rig.baseline_m) * rig.f_px / depth_m + rig.cx_right
         in_raw = inside_raw_image(rig.right, np.stack([x_m - rig.baseline_m, y_m, depth_m], axis=-1))
-        return (x_right >= 0) & (x_right <= rig.width - 1) & in_raw
+        seen: npt.NDArray[np.bool_] = (x_right >= 0) & (x_right <= rig.width - 1) & in_raw
+        return seen
 
 
 def _rays(camera: CameraModel) -> F64:
