@@ -24,10 +24,32 @@ def test_disparity_errors_by_hand() -> None:
     assert errors.bad_0_5 == pytest.approx(100 * 3 / 5)  # 0.5 itself is not above 0.5
     assert errors.bad_1 == pytest.approx(100 * 2 / 5)
     assert errors.bad_2 == pytest.approx(100 * 1 / 5)
+    assert errors.bad_4 == 0  # 4 itself is not above 4
+    assert errors.bad_0_5_all == pytest.approx(100 * 4 / 6)
+    assert errors.bad_1_all == pytest.approx(100 * 3 / 6)
     assert errors.bad_2_all == pytest.approx(100 * 2 / 6)
+    assert errors.bad_4_all == pytest.approx(100 * 1 / 6)
     assert errors.avg_px == pytest.approx(6.75 / 5)
     assert errors.median_px == pytest.approx(0.75)
     assert errors.rms_px == pytest.approx(math.sqrt((0.25 + 0.5625 + 2.25 + 16) / 5))
+
+
+def test_error_quantiles_by_hand() -> None:
+    errors = disparity_errors(FOUND, TRUTH)  # five errors: the quantile q lies 4 q behind the first
+    assert errors.a90_px == pytest.approx(1.5 + 0.6 * 2.5)
+    assert errors.a95_px == pytest.approx(1.5 + 0.8 * 2.5)
+    assert errors.a99_px == pytest.approx(1.5 + 0.96 * 2.5)
+
+
+def test_d1_is_wrong_by_more_than_3_px_and_by_more_than_5_percent() -> None:
+    truth = np.array([[100, 60, 10, 59, 64, 40, 30]], np.float32)
+    found = np.array([[104, 63.5, 13, 63, 60, NAN, 30]], np.float32)  # 4 %, 5.8 %, 3 px, 6.8 %, 6.25 %, a hole, right
+    errors = disparity_errors(found, truth)
+    assert errors.d1 == pytest.approx(100 * 3 / 6)
+    assert errors.d1_all == pytest.approx(100 * 4 / 7)
+    assert errors.bad_2 == pytest.approx(100 * 5 / 6)  # 3 px and 4 % are wrong here
+    at_limit = disparity_errors(np.array([[84.0]], np.float32), np.array([[80.0]], np.float32))
+    assert at_limit.d1 == 0  # 5 % itself is not above 5 %
 
 
 def test_mask_selects_pixels() -> None:
@@ -43,6 +65,7 @@ def test_nothing_to_compare_is_nan_not_zero() -> None:
     assert math.isnan(unknown.density) and math.isnan(unknown.bad_2_all) and math.isnan(unknown.median_px)
     empty = disparity_errors(np.full_like(FOUND, NAN), TRUTH)
     assert (empty.density, empty.bad_2_all) == (0, 100)
+    assert math.isnan(empty.a99_px) and math.isnan(empty.d1) and empty.d1_all == 100
     assert math.isnan(empty.bad_2) and math.isnan(empty.avg_px) and math.isnan(empty.rms_px)
 
 

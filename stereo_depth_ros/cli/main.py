@@ -15,11 +15,13 @@ from typing import Annotated, Any
 import typer
 
 from stereo_depth_ros.cli.convert import convert_app, synthesize
+from stereo_depth_ros.cli.evaluate import evaluate_command
 from stereo_depth_ros.cli.output import messages, progress_bar, show
 from stereo_depth_ros.cli.tables import info_tables, info_values, parameters_table, parameters_values, result_tables
 from stereo_depth_ros.errors import BagError, StereoDepthError
 from stereo_depth_ros.installed_files import installed_files
 from stereo_depth_ros.io.bag_info import inspect_bag
+from stereo_depth_ros.matching import MATCHERS
 from stereo_depth_ros.parameter_values import Value, parse_assignments, pipeline_config, read_params_file
 from stereo_depth_ros.replay.bag_pairs import BagSelection
 from stereo_depth_ros.replay.bag_preview import save_bag_preview
@@ -41,6 +43,7 @@ app = typer.Typer(
 )
 app.add_typer(convert_app, name="convert")
 app.command()(synthesize)
+app.command("evaluate")(evaluate_command)
 
 Bag = Annotated[Path, typer.Argument(metavar="BAG", help="MCAP or .db3 file, or rosbag2 folder.")]
 Output = Annotated[
@@ -51,7 +54,7 @@ Left = Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left 
 Right = Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic; found by itself.")]
 Start = Annotated[float, typer.Option(min=0, help="Seconds of the bag to leave out at the beginning.")]
 Duration = Annotated[float, typer.Option(min=0, help="Seconds of the bag to read; 0 is all.")]
-Matcher = Annotated[str | None, typer.Option(metavar="NAME", help="bm, sgbm: sets stereo_algorithm.")]
+Matcher = Annotated[str | None, typer.Option(metavar="NAME", help=f"{', '.join(MATCHERS)}: sets stereo_algorithm.")]
 Params = Annotated[
     list[str] | None, typer.Option("--param", "-p", metavar="NAME:=VALUE", help="A parameter; may be repeated.")
 ]
@@ -169,7 +172,7 @@ def demo(
     options = ReplayOptions(bag=str(bag), output=str(output))
     result = _replay(options, "separate" if separate else "fused", parse_assignments((), matcher), None)
     picture = output_dir / "demo.png"
-    save_bag_preview(output, picture, f"{bag.name}: {matcher or 'bm'}")
+    save_bag_preview(output, picture, f"{bag.name}: {matcher or 'sgm'}")
     _finish(result, json_file, picture=picture)
 
 

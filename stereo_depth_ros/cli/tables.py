@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from rich.table import Table
 
@@ -16,7 +16,37 @@ from stereo_depth_ros.config import STAGE_CONFIGS, parameter_infos
 from stereo_depth_ros.io.bag_info import BagInfo
 from stereo_depth_ros.replay.report import ReplayResult
 
-__all__ = ["info_tables", "info_values", "parameters_table", "parameters_values", "result_tables"]
+__all__ = ["evaluation_tables", "info_tables", "info_values", "parameters_table", "parameters_values", "result_tables"]
+
+
+Columns: TypeAlias = Mapping[str, tuple[str, float]]  # title to name and factor of a figure
+
+_SCENE_COLUMNS: Columns = {
+    "dense %": ("density", 100),
+    "bad 0.5": ("bad_0_5", 1),
+    "bad 1": ("bad_1", 1),
+    "bad 2": ("bad_2", 1),
+    "bad 2 all": ("bad_2_all", 1),
+    "nonocc bad 2 all": ("nonocc_bad_2_all", 1),
+    "avg px": ("avg", 1),
+    "ms": ("ms", 1),
+}
+_ERRORS: Columns = {
+    "dense %": ("density", 100),
+    "bad 0.5": ("bad_0_5", 1),
+    "bad 1": ("bad_1", 1),
+    "bad 2": ("bad_2", 1),
+    "bad 2 all": ("bad_2_all", 1),
+    "nonocc bad 2 all": ("nonocc_bad_2_all", 1),
+    "D1 all": ("d1_all", 1),
+    "avg px": ("avg", 1),
+}
+_COSTS: Columns = {
+    "ms": ("ms", 1),
+    "ms per Mpx": ("ms_per_megapixel", 1),
+    "ms per Mdisp": ("ms_per_million_disparities", 1),
+    "confidence": ("auc_bad_1_ratio", 1),
+}
 
 
 def result_tables(result: ReplayResult, picture: Path | None = None) -> Iterator[Table]:
@@ -82,6 +112,63 @@ def parameters_values() -> list[dict[str, Any]]:
         for stage in STAGE_CONFIGS
         for info in parameter_infos(stage)
     ]
+
+
+def evaluation_tables(
+    rows: Sequence[Mapping[str, Any]], range_given: bool, pictures: Path | None = None
+) -> Iterator[Table]:
+    """What an evaluation gave: a row for each scene and method, means of each method, how it was measured."""
+    yield _scenes_table(rows)
+    yield _means_table(rows, "mean errors", _ERRORS)
+    yield _means_table(rows, "mean times", _COSTS)
+    facts = _facts()
+    facts.add_row("bad x", "percent of the matched truth pixels that are wrong by more than x px")
+    facts.add_row("all", "pixels without disparity count as wrong; nonocc: only pixels that both eyes see")
+    ranges = [row["disparity_range"] for row in rows]
+    rule = "as given" if range_given else "the smallest multiple of 16 above the scene's largest true disparity"
+    facts.add_row("disparity_range", f"{min(ranges)} to {max(ranges)}, {rule}, the same for every method")
+    facts.add_row("ms per Mdisp", "milliseconds for a million disparities: pixels times disparity_range")
+    facts.add_row("confidence", "area under the bad 1 curve, most confident first, over that of a random order")
+    masked = list(dict.fromkeys(row["scene"] for row in rows if row["occlusion"] == "mask"))
+    facts.add_row("occlusion", "from the true disparities" + (f"; {', '.join(masked)}: own mask" if masked else ""))
+    if pictures is not None:
+        facts.add_row("pictures", str(pictures))
+    yield facts
+
+
+def _scenes_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    columns = _SCENE_COLUMNS
+    table = _table("scene", "matcher", *_narrow(columns))
+    for row in rows:
+        table.add_row(row["scene"], row["matcher"], *(_figure(row[key], factor) for key, factor in columns.values()))
+    return table
+
+
+def _means_table(rows: Sequence[Mapping[str, Any]], title: str, columns: Columns) -> Table:
+    """Means over the scenes of each method."""
+    table = _table("matcher", "scenes:r", *_narrow(columns), title=title)
+    for matcher in dict.fromkeys(row["matcher"] for row in rows):
+        own = [row for row in rows if row["matcher"] == matcher]
+        figures = (_figure(_mean(own, key), factor) for key, factor in columns.values())
+        table.add_row(matcher, str(len(own)), *figures)
+    return table
+
+
+def _narrow(titles: Iterable[str]) -> list[str]:
+    """Headers of numbers, a word a line: where the terminal is narrow, the names are folded before the numbers."""
+    return [f"{title}:r".replace(" ", "\n") for title in titles]
+
+
+def _mean(rows: Sequence[Mapping[str, Any]], name: str) -> float | None:
+    known = [row[name] for row in rows if row[name] is not None]
+    return sum(known) / len(known) if known else None
+
+
+def _figure(value: float | None, factor: float) -> str:
+    if value is None:
+        return "-"
+    scaled = factor * value
+    return f"{scaled:.{2 if abs(scaled) < 10 else 1 if abs(scaled) < 100 else 0}f}"
 
 
 def _summary_table(result: ReplayResult, picture: Path | None) -> Table:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -15,16 +15,23 @@ from stereo_depth_ros.types import F32, F64
 
 __all__ = ["DepthErrors", "DisparityErrors", "depth_errors", "disparity_errors"]
 
+Mask: TypeAlias = npt.NDArray[np.bool_]
+
 
 @dataclass(frozen=True)
 class DisparityErrors:
-    """Errors over the pixels that have a truth (Scharstein and Szeliski 2002; the thresholds of the Middlebury tables).
+    """Errors over the pixels that have a truth.
+
+    The thresholds and quantiles are those of the Middlebury tables (Scharstein and Szeliski 2002; Scharstein et al.
+    2014), D1 is KITTI's (Menze and Geiger 2015): wrong by more than 3 px and by more than 5 % of the truth.
 
     Attributes:
         density: share of truth pixels that have a disparity, 0..1.
-        bad_0_5, bad_1, bad_2: percent of the matched truth pixels that are wrong by more than 0.5, 1, 2 px.
-        bad_2_all: percent of all truth pixels that are wrong by more than 2 px or have no disparity.
+        bad_0_5, bad_1, bad_2, bad_4: percent of the matched truth pixels that are wrong by more than 0.5, 1, 2, 4 px.
+        bad_0_5_all, bad_1_all, bad_2_all, bad_4_all: percent of all truth pixels that are so or have no disparity.
+        d1, d1_all: the same two of D1.
         avg_px, median_px, rms_px: absolute error of the matched truth pixels.
+        a90_px, a95_px, a99_px: absolute error that 90, 95, 99 percent of them do not exceed (A50 is the median).
 
     A figure over no pixels is NaN.
     """
@@ -33,10 +40,19 @@ class DisparityErrors:
     bad_0_5: float
     bad_1: float
     bad_2: float
+    bad_4: float
+    bad_0_5_all: float
+    bad_1_all: float
     bad_2_all: float
+    bad_4_all: float
+    d1: float
+    d1_all: float
     avg_px: float
     median_px: float
     rms_px: float
+    a90_px: float
+    a95_px: float
+    a99_px: float
 
 
 @dataclass(frozen=True)
@@ -54,7 +70,7 @@ class DepthErrors:
     median_relative: float
 
 
-def disparity_errors(disparity_px: F32, truth_px: F32, mask: npt.NDArray[np.bool_] | None = None) -> DisparityErrors:
+def disparity_errors(disparity_px: F32, truth_px: F32, mask: Mask | None = None) -> DisparityErrors:
     """Compares disparities with the truth.
 
     Args:
@@ -65,16 +81,22 @@ def disparity_errors(disparity_px: F32, truth_px: F32, mask: npt.NDArray[np.bool
     Raises:
         ImageError: shapes differ.
     """
-    count, error = _errors(disparity_px, truth_px, mask)
+    known, matched = _pixels(disparity_px, truth_px, mask)
+    error, truth = _absolute_error(disparity_px, truth_px, matched), truth_px[matched].astype(np.float64)
+    count, holes = int(np.count_nonzero(known)), int(np.count_nonzero(known & ~matched))
+    wrong = {"bad_0_5": error > 0.5, "bad_1": error > 1, "bad_2": error > 2, "bad_4": error > 4}
+    wrong["d1"] = (error > 3) & (error > 0.05 * np.abs(truth))
+    counts = {name: int(np.count_nonzero(pixels)) for name, pixels in wrong.items()}
     return DisparityErrors(
         density=_share(error.size, count),
-        bad_0_5=100 * _share(np.count_nonzero(error > 0.5), error.size),
-        bad_1=100 * _share(np.count_nonzero(error > 1), error.size),
-        bad_2=100 * _share(np.count_nonzero(error > 2), error.size),
-        bad_2_all=100 * _share(np.count_nonzero(error > 2) + count - error.size, count),
+        **{name: 100 * _share(number, error.size) for name, number in counts.items()},
+        **{f"{name}_all": 100 * _share(number + holes, count) for name, number in counts.items()},
         avg_px=float(error.mean()) if error.size else float("nan"),
-        median_px=_median(error),
+        median_px=_quantile(error, 0.5),
         rms_px=float(np.sqrt(np.mean(error**2))) if error.size else float("nan"),
+        a90_px=_quantile(error, 0.9),
+        a95_px=_quantile(error, 0.95),
+        a99_px=_quantile(error, 0.99),
     )
 
 
@@ -88,13 +110,16 @@ def depth_errors(depth_m: F32, truth_m: F32) -> DepthErrors:
     Raises:
         ImageError: shapes differ.
     """
-    count, error = _errors(depth_m, truth_m, None)
-    truth = truth_m[np.isfinite(truth_m) & np.isfinite(depth_m)].astype(np.float64)
-    return DepthErrors(_share(error.size, count), _median(error), _median(error / truth))
+    known, matched = _pixels(depth_m, truth_m, None)
+    error = _absolute_error(depth_m, truth_m, matched)
+    relative = error / truth_m[matched].astype(np.float64)
+    return DepthErrors(
+        _share(error.size, int(np.count_nonzero(known))), _quantile(error, 0.5), _quantile(relative, 0.5)
+    )
 
 
-def _errors(values: F32, truth: F32, mask: npt.NDArray[np.bool_] | None) -> tuple[int, F64]:
-    """Number of pixels with a truth, and absolute errors of those of them that have a value."""
+def _pixels(values: F32, truth: F32, mask: Mask | None) -> tuple[Mask, Mask]:
+    """The pixels with a truth, and those of them that have a value."""
     shapes = {values.shape, truth.shape} | (set() if mask is None else {mask.shape})
     if len(shapes) > 1:
         raise ImageError(
@@ -102,14 +127,18 @@ def _errors(values: F32, truth: F32, mask: npt.NDArray[np.bool_] | None) -> tupl
             f"{'' if mask is None else f', mask {mask.shape}'}: all must have one shape"
         )
     known = np.isfinite(truth) if mask is None else np.isfinite(truth) & mask
-    both = known & np.isfinite(values)
-    error: F64 = np.abs(values[both].astype(np.float64) - truth[both])
-    return int(np.count_nonzero(known)), error
+    return known, known & np.isfinite(values)
 
 
-def _share(part: int | np.integer[Any], whole: int) -> float:
-    return float(part / whole) if whole else float("nan")
+def _absolute_error(values: F32, truth: F32, matched: Mask) -> F64:
+    error: F64 = np.abs(values[matched].astype(np.float64) - truth[matched])
+    return error
 
 
-def _median(values: F64) -> float:
-    return float(np.median(values)) if values.size else float("nan")
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else float("nan")
+
+
+def _quantile(values: F64, share: float) -> float:
+    """With linear interpolation between neighbours, so that the half is the median."""
+    return float(np.quantile(values, share)) if values.size else float("nan")

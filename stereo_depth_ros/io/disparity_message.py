@@ -21,7 +21,7 @@ from stereo_depth_ros.parallel import compiled, run_bands
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import F32
 
-__all__ = ["disparity_message", "published_disparity", "published_triangulation", "valid_window"]
+__all__ = ["disparity_message", "matched_disparity", "published_disparity", "published_triangulation", "valid_window"]
 
 _F32 = "float32[:, ::1]"
 
@@ -105,6 +105,18 @@ def published_disparity(msg: Any, topic: str = "disparity") -> F32:
     disparity_px = np.empty_like(published)
     run_bands(_receive, image.height, published, np.float32(msg.min_disparity), disparity_px)
     return disparity_px
+
+
+def matched_disparity(msg: Any, rig: StereoRig, topic: str = "disparity") -> F32:
+    """The disparities of a DisparityImage as a matcher gives them: x_left - x_right of the rectified images.
+
+    Returns:
+        float32 (H, W), NaN where invalid.
+
+    Raises:
+        MessageError: as :func:`published_disparity`.
+    """
+    return published_disparity(msg, topic) + np.float32(rig.doffs_px)
 
 
 def published_triangulation(msg: Any, rig: StereoRig, topic: str = "disparity") -> Triangulation:

@@ -19,7 +19,7 @@ from stereo_depth_ros.io.datasets import DatasetFrame, list_images, read_frame, 
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import F32, F64
 
-__all__ = ["KittiDataset", "read_calibration", "rig_from_calibration"]
+__all__ = ["KittiDataset", "read_calibration", "read_truth", "rig_from_calibration"]
 
 # folders of left and right images, and the numbers of the two cameras
 _LAYOUTS = (
@@ -80,7 +80,7 @@ class KittiDataset:
 
     def _truth(self, name: str) -> F32 | None:
         path = next((self.folder / x / name for x in _TRUTH_FOLDERS if (self.folder / x / name).exists()), None)
-        return None if path is None else _read_truth(path)
+        return None if path is None else read_truth(path)
 
 
 def read_calibration(path: Path) -> dict[str, F64]:
@@ -189,8 +189,14 @@ def _parse_date(row: str) -> int:
     return int(seconds.timestamp()) * 10**9 + int(fraction.ljust(9, "0")[:9] or 0)
 
 
-def _read_truth(path: Path) -> F32:
-    """float32 (H, W): 16 bit pictures hold 256 levels a pixel, 0 is unknown."""
+def read_truth(path: Path) -> F32:
+    """True disparities of the stereo benchmarks, float32 (H, W), px, NaN where unknown.
+
+    The 16-bit pictures hold 256 levels a pixel, 0 is unknown.
+
+    Raises:
+        BagError: not a readable 16-bit picture.
+    """
     picture = read_picture(path)
     if picture.dtype != np.uint16:
         raise BagError(f"{path} is {picture.dtype}, KITTI's disparities are uint16: copy it again")

@@ -15,23 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.io.datasets import DatasetFrame, check_sizes, read_frame, read_image, read_picture
+from stereo_depth_ros.io.datasets import DatasetFrame, check_sizes, read_frame
+from stereo_depth_ros.io.datasets.middlebury_scene import MiddleburyScene, view_scale
 from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F32
 
 __all__ = ["MiddleburyDataset"]
 
-# left, right, truth; the first that is there
-_LAYOUTS = (
-    ("im0.*", "im1.*", "disp0.pfm"),
-    ("im0.*", "im1.*", "disp0GT.pfm"),
-    ("im0.*", "im1.*", None),
-    ("view1.*", "view5.*", "disp1.*"),
-    ("im2.*", "im6.*", "disp2.*"),
-    ("scene1.row3.col3.*", "scene1.row3.col4.*", "truedisp.row3.col3.*"),
-    ("scene1.row3.col3.*", "scene1.row3.col5.*", "truedisp.row3.col3.*"),
-    ("*_left.png", "*_right.png", "*_disp.npz"),
-)
 # published for the scenes of 2005 and 2006 at full size
 _VIEW_FOCAL_PX, _VIEW_BASELINE_M = 3740.0, 0.160
 
@@ -64,8 +53,8 @@ class MiddleburyDataset:
         baseline_m: float | None = None,
         doffs: float | None = None,
     ) -> None:
-        self.left_path, self.right_path, self.truth_path = _find_layout(folder)
-        height, width = read_image(self.left_path).shape[:2]
+        self.scene = MiddleburyScene(folder)
+        width, height = self.scene.size
         calibration_file = calibration_file or folder / "calib.txt"
         if focal_px is not None and baseline_m is not None:
             self.rig = _centred_rig(focal_px, baseline_m, doffs or 0.0, (width, height))
@@ -73,22 +62,21 @@ class MiddleburyDataset:
             self.rig = _read_rig(calibration_file, (width, height))
         else:
             self.rig = self._published_rig(folder, (width, height), doffs)
-        check_sizes(self.rig, self.right_path)
+        check_sizes(self.rig, self.scene.right_path)
 
     def __len__(self) -> int:
         return 1
 
     def __iter__(self) -> Iterator[DatasetFrame]:
-        left = read_frame(self.left_path, self.rig.left)
-        right = read_frame(self.right_path, self.rig.right)
-        truth = None if self.truth_path is None else _read_truth(self.truth_path, self._truth_scale())
-        yield DatasetFrame(left, right, truth)
+        left = read_frame(self.scene.left_path, self.rig.left)
+        right = read_frame(self.scene.right_path, self.rig.right)
+        yield DatasetFrame(left, right, self.scene.truth())
 
     def _published_rig(self, folder: Path, size: tuple[int, int], doffs: float | None) -> StereoRig:
         options = "give --focal-px and --baseline-m (and --doffs, where the principal points differ)"
-        if not self.left_path.stem == "view1":
+        if not self.scene.left_path.stem == "view1":
             raise BagError(f"{folder} has no calib.txt: put the scene's own there, or {options}")
-        scale = _view_scale(size[0])
+        scale = view_scale(size[0])
         dmin = folder / "dmin.txt"
         if doffs is None and not dmin.exists():
             raise BagError(
@@ -96,34 +84,6 @@ class MiddleburyDataset:
             )
         offset = doffs if doffs is not None else _read_number(dmin) / scale
         return _centred_rig(_VIEW_FOCAL_PX / scale, _VIEW_BASELINE_M, offset, size)
-
-    def _truth_scale(self) -> float:
-        """Grey levels per pixel of disparity, as the dataset's pages give them for each year and size."""
-        width, name = self.rig.width, self.left_path.stem
-        if name == "view1":
-            return _view_scale(width)
-        if name == "scene1.row3.col3":
-            return 16 if self.right_path.stem.endswith("col4") else 8
-        return {450: 4, 900: 2, 1800: 1}.get(width, 8)  # 2003 has these widths, 2001 smaller ones
-
-
-def _find_layout(folder: Path) -> tuple[Path, Path, Path | None]:
-    for left, right, truth in _LAYOUTS:
-        found = [_single(folder, pattern) for pattern in (left, right, truth) if pattern]
-        if all(found):
-            paths = [path for path in found if path]
-            return paths[0], paths[1], paths[2] if truth else None
-    known = "; ".join(f"{left} with {right}" for left, right, _ in dict.fromkeys(_LAYOUTS))
-    raise BagError(f"{folder} is not a Middlebury scene: it holds none of {known}")
-
-
-def _single(folder: Path, pattern: str) -> Path | None:
-    return next(iter(sorted(folder.glob(pattern))), None)
-
-
-def _view_scale(width: int) -> int:
-    """How many times smaller than full size (about 1240 to 1400 px) an image of 2005 or 2006 is."""
-    return 1 if width > 1000 else 2 if width > 550 else 3
 
 
 def _centred_rig(focal_px: float, baseline_m: float, doffs: float, size: tuple[int, int]) -> StereoRig:
@@ -155,16 +115,3 @@ def _read_number(path: Path) -> float:
         return float(path.read_text())
     except ValueError as error:
         raise BagError(f"{path} does not hold one number: {error}") from error
-
-
-def _read_truth(path: Path, scale: float) -> F32:
-    """float32 (H, W), NaN where unknown: infinite in .pfm and .npz, 0 in pictures of ``scale`` levels a pixel."""
-    if path.suffix == ".npz":
-        with np.load(path) as arrays:
-            truth = np.array(arrays[arrays.files[0]], np.float32)
-    else:
-        truth = read_picture(path).astype(np.float32)
-        if path.suffix != ".pfm":
-            truth = np.where(truth > 0, truth / np.float32(scale), np.float32(np.nan))
-    truth[~np.isfinite(truth)] = np.nan
-    return truth

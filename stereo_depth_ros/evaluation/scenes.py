@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What methods are evaluated on: rectified pairs with their truth, found in folders of datasets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.errors import BagError, ImageError
+from stereo_depth_ros.evaluation.occlusion import visible_pixels
+from stereo_depth_ros.io.datasets import list_images, read_image, read_picture
+from stereo_depth_ros.io.datasets.kitti import read_truth
+from stereo_depth_ros.io.datasets.middlebury_scene import MiddleburyScene
+from stereo_depth_ros.types import F32, U8
+
+__all__ = ["Scene", "SceneSet", "SceneSource", "find_scenes", "make_scene"]
+
+Mask: TypeAlias = npt.NDArray[np.bool_]
+
+# left, right, truth of all pixels, truth of those that both eyes see: KITTI 2015 and 2012
+_KITTI_LAYOUTS = (
+    ("image_2", "image_3", "disp_occ_0", "disp_noc_0"),
+    ("image_0", "image_1", "disp_occ", "disp_noc"),
+    ("colored_0", "colored_1", "disp_occ", "disp_noc"),
+)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One rectified pair and its truth.
+
+    Attributes:
+        left, right: uint8 (H, W), grey.
+        truth_px: float32 (H, W), x_left - x_right, NaN where unknown.
+        visible: bool (H, W), true where both eyes see the point; means nothing where the truth is unknown.
+        occlusion: where ``visible`` comes from: "mask" (of the dataset) or "truth" (computed from ``truth_px``).
+        foreground: bool (H, W), true on the objects of KITTI's obj_map; None without one.
+        doffs_px: cx_left - cx_right, the disparity of infinity; 0 where it is not known.
+    """
+
+    left: U8
+    right: U8
+    truth_px: F32
+    visible: Mask
+    occlusion: str
+    foreground: Mask | None = None
+    doffs_px: float = 0.0
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """A scene and its name; it is read when it is needed, ``load`` raises StereoDepthError where it cannot be."""
+
+    name: str
+    load: Callable[[], Scene]
+
+
+class SceneSet(Protocol):
+    """Scenes of one place; the length is an upper bound of their number."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[SceneSource]: ...
+
+
+def make_scene(
+    left: U8,
+    right: U8,
+    truth_px: F32,
+    visible: Mask | None = None,
+    foreground: Mask | None = None,
+    doffs_px: float = 0.0,
+) -> Scene:
+    """A scene whose parts fit together; without ``visible`` it is computed from the truth.
+
+    Raises:
+        ImageError: sizes that differ, or no pixel with a truth.
+    """
+    parts: dict[str, npt.NDArray[Any] | None] = {}
+    parts |= {"left": left, "right": right, "truth": truth_px, "occlusion mask": visible, "object map": foreground}
+    sizes = {part: f"{pixels.shape[1]}x{pixels.shape[0]}" for part, pixels in parts.items() if pixels is not None}
+    if len(set(sizes.values())) > 1:
+        told = ", ".join(f"{part} {size}" for part, size in sizes.items())
+        raise ImageError(f"sizes differ: {told}: take images and truth of one resolution")
+    if not np.isfinite(truth_px).any():
+        raise ImageError("no pixel has a true disparity: take the file with the truth again")
+    occlusion = "truth" if visible is None else "mask"
+    visible = visible_pixels(truth_px) if visible is None else visible
+    return Scene(left, right, truth_px, visible, occlusion, foreground, doffs_px)
+
+
+def find_scenes(folder: Path) -> list[SceneSource]:
+    """The scenes with truth of a dataset's folder, or of the folders in it, one or two levels down.
+
+    Known are Middlebury scenes of 2001 to 2014, ETH3D two-view scenes and the training pairs of KITTI stereo.
+
+    Raises:
+        BagError: there are none.
+    """
+    if found := _scenes_of(folder):
+        return found
+    for pattern in ("*", "*/*"):
+        found += [scene for path in sorted(folder.glob(pattern)) if path.is_dir() for scene in _scenes_of(path)]
+    if not found:
+        raise BagError(
+            f"{folder} has no scene with truth, nor have the folders one and two levels down: name a Middlebury, ETH3D "
+            "or KITTI stereo training folder that holds its disparities, or a bag with /truth/disparity"
+        )
+    return found
+
+
+def _scenes_of(folder: Path) -> list[SceneSource]:
+    """The scenes that a folder itself is."""
+    for left, right, truth, visible in _KITTI_LAYOUTS:
+        if (folder / truth).is_dir() and (folder / left).is_dir():
+            folders = (folder / left, folder / right, folder / truth, folder / visible)
+            return [
+                SceneSource(f"{folder.resolve().name}/{path.stem}", partial(_load_kitti, folders, path.name))
+                for path in list_images(folder / truth)
+            ]
+    try:
+        scene = MiddleburyScene(folder)
+    except BagError:
+        return []
+    return [SceneSource(folder.resolve().name, partial(_load_middlebury, scene))] if scene.truth_path else []
+
+
+def _load_middlebury(scene: MiddleburyScene) -> Scene:
+    truth_px = scene.truth()
+    assert truth_px is not None  # only scenes with truth are listed
+    return make_scene(_gray(scene.left_path), _gray(scene.right_path), truth_px, scene.visible())
+
+
+def _load_kitti(folders: tuple[Path, Path, Path, Path], name: str) -> Scene:
+    left, right, truth, visible = folders
+    objects = truth.parent / "obj_map" / name
+    return make_scene(
+        _gray(left / name),
+        _gray(right / name),
+        read_truth(truth / name),
+        np.isfinite(read_truth(visible / name)) if (visible / name).exists() else None,
+        np.greater(read_picture(objects), 0) if objects.exists() else None,
+    )
+
+
+def _gray(path: Path) -> U8:
+    pixels = read_image(path)
+    return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)

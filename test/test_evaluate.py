@@ -1,0 +1,214 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth evaluate`: tables, files, pictures, what is left out, exit codes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from evaluation_scenes import pair, write, write_kitti, write_scene
+from stereo_bags import write_truth_bag
+
+from stereo_depth_ros.cli import main as cli
+from stereo_depth_ros.evaluation import evaluator
+from stereo_depth_ros.matching import Matcher, create_matcher
+from stereo_depth_ros.types import F32, U8, MatchResult
+
+Run = Callable[..., tuple[int, str, str]]
+KEYS = {"scene", "matcher", "density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg", "ms"}
+SMALL = ("--param", "correlation_window_size:=9")
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """Runs `stereo-depth evaluate` with arguments: exit code, stdout, stderr."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["stereo-depth", "evaluate", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(ended.value.code or 0), out, err
+
+    yield call
+    signal.signal(signal.SIGTERM, before)
+
+
+def rows_of(path: Path) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = json.loads(path.read_text())
+    return rows
+
+
+def test_scenes_times_methods_as_table_json_csv_and_pictures(run: Run, tmp_path: Path) -> None:
+    write_scene(tmp_path / "data" / "one")
+    write_scene(tmp_path / "data" / "set" / "two", seed=2)
+    report, sheet, pictures = tmp_path / "r.json", tmp_path / "r.csv", tmp_path / "pictures"
+    files = ("--json", report, "--csv", sheet, "--pictures", pictures)
+    code, out, err = run(tmp_path / "data", "--matcher", "bm", "--matcher", "sgbm", *SMALL, *files)
+    assert (code, err) == (0, "")
+    rows = rows_of(report)
+    assert [(row["scene"], row["matcher"]) for row in rows] == [
+        ("one", "bm"),
+        ("one", "sgbm"),
+        ("two", "bm"),
+        ("two", "sgbm"),
+    ]
+    for row in rows:
+        assert row.keys() >= KEYS
+        assert row["disparity_range"] == 32 and row["bad_1"] < 6 and row["bad_2_all"] > 10 and row["ms"] > 0
+        assert row["parameters"] == {"correlation_window_size": 9, "disparity_range": 32}
+        assert any(
+            line.split()[:3] == [row["scene"], row["matcher"], f"{100 * row['density']:.1f}"]
+            for line in out.splitlines()
+        )
+    assert "smallest multiple of 16 above" in " ".join(out.split())
+    assert max(map(len, out.splitlines())) <= 80
+    with sheet.open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [float(line["bad_2_all"]) for line in lines] == [row["bad_2_all"] for row in rows]
+    assert lines[0]["auc_bad_1"] == "" and "curve" not in lines[0]
+    assert sorted(path.name for path in pictures.iterdir()) == [
+        f"{s}_{m}.png" for s in ("one", "two") for m in ("bm", "sgbm")
+    ]
+    assert cv2.imread(str(pictures / "one_bm.png")).shape[1] > 1000
+
+
+def test_range_that_is_given_is_kept_and_told(run: Run, tmp_path: Path) -> None:
+    write_scene(tmp_path / "one")
+    code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, "--param", "disparity_range:=48")
+    assert code == 0 and "48 to 48, as given" in out
+    code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, "-p", "disparity_range:=48", "--json", "-")
+    assert [row["disparity_range"] for row in json.loads(out)] == [48]
+
+
+def test_confidence_is_measured_and_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Sure:
+        """Block matching that is less sure where it is wrong."""
+
+        def __init__(self, inner: Matcher) -> None:
+            self.config, self._inner = inner.config, inner
+
+        def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
+            found = self._inner.match(left, right)
+            wrong = np.abs(found.disparity_px - pair()[2]) > 1
+            confidence = np.where(np.isnan(found.disparity_px), 0, np.where(wrong, 0.25, 0.75)).astype(np.float32)
+            return MatchResult(found.disparity_px, found.reasons, found.step_px, confidence)
+
+    monkeypatch.setattr(evaluator, "create_matcher", lambda *how: Sure(create_matcher(*how)))
+    write_scene(tmp_path / "one")
+    files = ("--json", tmp_path / "r.json", "--pictures", tmp_path / "p")
+    code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, *files)
+    assert code == 0
+    (row,) = rows_of(tmp_path / "r.json")
+    assert row["auc_bad_1"] == pytest.approx(row["auc_bad_1_oracle"]) and row["auc_bad_1_ratio"] < 0.3
+    assert len(row["curve"]["bad_1"]) == len(row["curve"]["coverage"]) == 20
+    assert f"{row['auc_bad_1_ratio']:.2f}" in out
+    assert {path.name for path in (tmp_path / "p").iterdir()} == {"one_bm.png", "one_bm_confidence.png"}
+
+
+def test_bags_and_folders_together_and_equal_names_are_numbered(run: Run, tmp_path: Path) -> None:
+    write_truth_bag(tmp_path / "room.mcap", 2)
+    write_scene(tmp_path / "a" / "one")
+    write_scene(tmp_path / "b" / "one", seed=2)
+    write_kitti(tmp_path / "training")
+    places = (tmp_path / "room.mcap", tmp_path / "a", tmp_path / "b", tmp_path / "training")
+    code, _, err = run(*places, "--matcher", "bm", *SMALL, "--json", tmp_path / "r.json")
+    assert code == 0, err
+    rows = rows_of(tmp_path / "r.json")
+    names = ["room/0000", "room/0001", "one", "one#2", "training/000000_10"]
+    assert [row["scene"] for row in rows] == names
+    assert all(row["bad_2"] < 8 for row in rows)
+    assert [row["d1_fg"] is not None for row in rows] == [False] * 4 + [True]
+    assert rows[-1]["occlusion"] == "mask"
+
+
+def test_what_cannot_be_evaluated_is_left_out_and_told(run: Run, tmp_path: Path) -> None:
+    write_scene(tmp_path / "good")
+    left, right, truth_px = pair()
+    write(write_scene(tmp_path / "scaled") / "disp0.pfm", 4 * truth_px)
+    write(write_scene(tmp_path / "small") / "disp0.pfm", truth_px[:, :-2].copy())
+    write(write_scene(tmp_path / "swapped") / "im0.png", right)
+    write(tmp_path / "swapped" / "im1.png", left)
+    code, out, err = run(tmp_path, "--matcher", "bm", *SMALL, "--json", tmp_path / "r.json")
+    assert code == 3
+    assert [row["scene"] for row in rows_of(tmp_path / "r.json")] == ["good"]
+    assert "good" in out
+    told = err.splitlines()
+    assert len(told) == 4 and told[-1].startswith("error: 3 left out")
+    assert told[0].startswith("warning: scaled left out: the truth's scale looks wrong: it is about 4 times")
+    assert told[1].startswith("warning: small left out: sizes differ: left 170x96, right 170x96, truth 168x96")
+    assert told[2].startswith("warning: swapped left out: eyes look swapped")
+    code, out, err = run(tmp_path / "swapped", "--matcher", "bm", *SMALL)
+    assert (code, out) == (1, "")
+    assert err.startswith("error: nothing could be evaluated: swapped left out: eyes look swapped")
+    assert err.count("\n") == 1
+
+
+def test_method_that_refuses_one_scene_is_left_out_there(run: Run, tmp_path: Path) -> None:
+    write_scene(tmp_path / "one")
+    window = ("--param", "correlation_window_size:=95", "--param", "prefilter_cap:=5")
+    code, out, err = run(tmp_path / "one", "--matcher", "bm", *window, "--param", "disparity_range:=160")
+    assert (code, out) == (1, "")
+    assert "one, bm left out: images of 170 x 96 px" in err and "lower disparity_range" in err
+
+
+def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> None:
+    write_scene(tmp_path / "one")
+
+    def error(*arguments: object) -> str:
+        code, out, err = run(*arguments)
+        assert (code, out) == (1, "") and err.startswith("error: ") and err.count("\n") == 1
+        return err
+
+    assert "unknown matcher 'best': known are bm (0)" in error(tmp_path / "one", "--matcher", "best")
+    assert "did you mean 'speckle_size'" in error(tmp_path / "one", "--matcher", "bm", "-p", "speckle_siz:=3")
+    assert "P2 = 100 is not above P1" in error(
+        tmp_path / "one", "--matcher", "sgbm", "-p", "P1:=200.0", "-p", "P2:=100.0"
+    )
+    assert "none does not exist" in error(tmp_path / "none", "--matcher", "bm")
+    (tmp_path / "empty").mkdir()
+    assert "empty has no scene with truth" in error(tmp_path / "empty", "--matcher", "bm")
+    for option in ("--json", "--csv"):
+        assert "there is no folder" in error(tmp_path / "one", "--matcher", "bm", option, tmp_path / "no" / "r")
+    assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--csv", tmp_path)
+    (tmp_path / "file").write_text("")
+    assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--pictures", tmp_path / "file")
+
+
+def test_usage(run: Run, tmp_path: Path) -> None:
+    assert run(tmp_path)[0] == 2  # no method
+    assert run("--matcher", "bm")[0] == 2  # no place
+    code, out, _ = run("--help")
+    assert code == 0 and "stereo-depth evaluate Motorcycle-perfect --matcher sgbm" in out
+    assert "smallest multiple of 16" in " ".join(out.split())
+
+
+@pytest.mark.real_data
+def test_tsukuba_and_cones_against_figures_worked_out_apart(run: Run, stereo_data: Path, tmp_path: Path) -> None:
+    tsukuba = stereo_data / "middlebury2001" / "tsukuba"
+    places = (tsukuba, stereo_data / "middlebury2003")
+    code, out, err = run(*places, "--matcher", "sgbm", "--json", tmp_path / "r.json")
+    assert code == 0, err
+    first, second = rows_of(tmp_path / "r.json")
+    colors = (cv2.imread(str(tsukuba / f"scene1.row3.{name}.ppm")) for name in ("col3", "col4"))
+    left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in colors)
+    levels = cv2.imread(str(tsukuba / "truedisp.row3.col3.pgm"), cv2.IMREAD_UNCHANGED)
+    found = create_matcher("sgbm", num_disparities=32).match(left, right).disparity_px
+    known, matched = levels > 0, (levels > 0) & np.isfinite(found)
+    wrong = np.abs(found - levels / 16.0) > 2
+    assert first["density"] == pytest.approx(matched.sum() / known.sum())
+    assert first["bad_2"] == pytest.approx(100 * (wrong & matched).sum() / matched.sum())
+    assert first["bad_2_all"] == pytest.approx(100 * ((wrong & matched).sum() + (known & ~matched).sum()) / known.sum())
+    assert (second["scene"], second["occlusion"], second["disparity_range"]) == ("cones", "mask", 64)
+    assert second["nonocc_bad_2_all"] < second["bad_2_all"] < 40
+    assert "cones: own mask" in out
