@@ -8,7 +8,15 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "stereo_depth_ros"
-NODES = ("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node", "replay_node")
+NODES = (
+    "rectify_node",
+    "disparity_node",
+    "point_cloud_node",
+    "depth_node",
+    "stereo_depth_node",
+    "feature_node",
+    "replay_node",
+)
 # setup.py may be a link in a build folder (colcon --symlink-install)
 MANIFEST = ElementTree.parse(Path(__file__).resolve().with_name("package.xml")).getroot()
 
@@ -52,7 +60,9 @@ setup(
         # for machines without ROS 2; common-interfaces brings sensor_msgs, stereo_msgs, diagnostic_msgs and std_srvs,
         # rclpy brings rcl_interfaces and rosgraph_msgs
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
-        "test": ["colcon-common-extensions", "mypy", "pytest", "ruff"],
+        "graph_cut": ["PyMaxflow"],  # optional because it is under the GPL
+        "onnx": ["onnxruntime"],
+        "test": ["PyMaxflow", "colcon-common-extensions", "mypy", "onnx", "onnxruntime", "pytest", "ruff"],
     },
     entry_points={
         "console_scripts": [

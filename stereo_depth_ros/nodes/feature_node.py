@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sparse points from rectified pairs: left, right image_rect to features/points2."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+from sensor_msgs.msg import PointCloud2
+
+from stereo_depth_ros.config import CloudConfig, MatchingConfig
+from stereo_depth_ros.depth import Triangulation
+from stereo_depth_ros.feature_stage import FeatureStage
+from stereo_depth_ros.io.cloud_message import sparse_cloud_message
+from stereo_depth_ros.io.image_message import to_gray
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
+from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.point_cloud import CloudLayout
+from stereo_depth_ros.stereo_rig import StereoRig
+
+__all__ = ["FeatureNode", "main"]
+
+
+class FeatureNode(StereoNode):
+    """Subscribes {left,right}/{image_rect,camera_info}, publishes features/points2: what matches, and nothing else.
+
+    The matcher is always ``features``, whatever stereo_algorithm says: one parameter file serves all nodes.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("feature_node", MatchingConfig, CloudConfig)
+        self.refuse_equal_topics("left/image_rect", "right/image_rect")
+        self._stage = functools.lru_cache(maxsize=1)(FeatureStage)
+        self._calibration = CalibrationInput(self)
+        self._output = self.add_output(PointCloud2, "features/points2")
+        pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
+        add_image_input(self, "left/image_rect", pairs.add_left)
+        add_image_input(self, "right/image_rect", pairs.add_right)
+
+    def _on_pair(self, left: Any, right: Any) -> None:
+        self._calibration.with_rig(lambda rig: self._publish(left, right, rig))
+
+    def _publish(self, left: Any, right: Any, rig: StereoRig) -> None:
+        config = self.parameters.get(MatchingConfig)
+        frames = [decode_eye(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
+        with self.health.timed("match"):
+            matches = self._stage(config, rig).find(to_gray(frames[0]), to_gray(frames[1]))
+        points_m = matches.points_m(Triangulation.from_rig(rig))
+        layout = CloudLayout.of(self.parameters.get(CloudConfig))
+        stamp_ns, frame_id = frames[0].stamp_ns, frames[0].frame_id
+        rgb = matches.colors(frames[0])
+        self._output.publish(
+            sparse_cloud_message(self.types, points_m, rgb, layout, stamp_ns=stamp_ns, frame_id=frame_id)
+        )
+
+
+def main() -> int:
+    """Run the node."""
+    return run(FeatureNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
