@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numba
 
-__all__ = ["READ_ONLY_U8", "compiled", "run_bands"]
+__all__ = ["READ_ONLY_U8", "compiled", "core_count", "run_bands"]
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., object])
 
@@ -21,21 +21,29 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., object])
 READ_ONLY_U8 = numba.types.Array(numba.uint8, 2, "C", readonly=True)
 
 
-def compiled(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
+def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], FunctionT]:
     """Decorator: machine code that runs without the interpreter lock, kept on disk between processes.
 
     Kernels give explicit signatures, so that they are compiled (or read from the disk) when their module is imported
     and never in the first frame. Helpers that only kernels call give none and become part of those kernels.
+
+    Args:
+        signatures: of numba.
+        allocates: False for functions that make no arrays: then views of arrays are not counted, which would be atomic
+            operations across threads, and cost nothing even for every pixel.
     """
 
     def decorate(function: FunctionT) -> FunctionT:
-        kernel: FunctionT = numba.njit(list(signatures) or None, nogil=True, cache=bool(signatures))(function)
+        kernel: FunctionT = numba.njit(
+            list(signatures) or None, nogil=True, cache=bool(signatures), forceinline=not signatures, _nrt=allocates
+        )(function)
         return kernel
 
     return decorate
 
 
-def _cores() -> int:
+def core_count() -> int:
+    """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):  # Linux: what taskset and containers leave us
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -43,7 +51,7 @@ def _cores() -> int:
 
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max(_cores() - 1, 1), thread_name_prefix="bands")
+    return ThreadPoolExecutor(max(core_count() - 1, 1), thread_name_prefix="bands")
 
 
 # A forked child has the pool object but none of its threads.
@@ -66,7 +74,7 @@ def run_bands(kernel: Callable[..., None], rows: int, *args: object, min_rows: i
     """
     if rows <= 0:
         return
-    bands = max(1, min(_cores(), rows // min_rows))
+    bands = max(1, min(core_count(), rows // min_rows))
     edges = [rows * band // bands for band in range(bands + 1)]
     calls = [functools.partial(kernel, first, last, *args) for first, last in itertools.pairwise(edges)]
     others = [(_pool().submit(call), call) for call in calls[1:]]

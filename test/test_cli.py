@@ -70,7 +70,9 @@ def test_process_takes_matcher_and_parameter_file(run: Run, bag: Path, tmp_path:
 
 
 def test_process_of_pairs_that_are_all_refused_is_one_line(run: Run, bag: Path, tmp_path: Path) -> None:
-    code, out, err = run("process", bag, "-o", tmp_path / "o.mcap", "--param", "disparity_range:=256")
+    code, out, err = run(
+        "process", bag, "-o", tmp_path / "o.mcap", "--matcher", "bm", "--param", "disparity_range:=256"
+    )
     assert (code, out) == (1, "")
     assert err.startswith("error: ") and err.count("\n") == 1
     assert "no pair could be processed" in err

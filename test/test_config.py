@@ -17,7 +17,7 @@ from stereo_depth_ros.config import (
 )
 from stereo_depth_ros.errors import ConfigError
 
-# Name, default, low, high, step: as stereo_image_proc of Jazzy declares them (stereo_algorithm and the like included).
+# Name, default, low, high, step: as stereo_image_proc of Jazzy declares them.
 CONTRACT = {
     "stereo_algorithm": (0, 0, 1, None),
     "prefilter_size": (9, 5, 255, 2),
@@ -34,12 +34,27 @@ CONTRACT = {
     "P1": (200.0, 0.0, 4000.0, None),
     "P2": (400.0, 0.0, 4000.0, None),
 }
+# Where this package differs: more methods and a better one by default, smaller windows, penalties from the window.
+WIDER = {
+    "stereo_algorithm": (2, 0, 10, None),
+    "correlation_window_size": (15, 1, 255, 2),
+    "P1": (0.0, 0.0, 4000.0, None),
+    "P2": (0.0, 0.0, 4000.0, None),
+}
 
 
 def test_matcher_parameters_are_those_of_the_contract() -> None:
-    ours = {i.name: (i.default, i.low, i.high, i.step) for i in parameter_infos(MatchingConfig)}
-    assert ours == CONTRACT
+    ours = {i.name: (i.default, i.low, i.high, i.step) for i in parameter_infos(MatchingConfig) if i.name in CONTRACT}
+    assert ours == CONTRACT | WIDER
     assert {n: type(v[0]) for n, v in ours.items()} == {n: type(v[0]) for n, v in CONTRACT.items()}
+
+
+def test_every_value_of_the_contract_is_accepted() -> None:
+    infos = {i.name: i for i in parameter_infos(MatchingConfig)}
+    for name, (default, low, high, _) in CONTRACT.items():
+        assert [infos[name].check(value) for value in (default, low, high)] == [default, low, high]
+    original = {name: values[0] for name, values in CONTRACT.items()}
+    assert replace_checked(MatchingConfig(), original).stereo_algorithm == 0
 
 
 def test_other_parameters_of_the_contract() -> None:
@@ -70,7 +85,7 @@ def test_names_are_unique_over_all_stages_and_every_one_is_explained() -> None:
         ({"P1": "200"}, r"P1 = '200' is str, it takes float"),
         ({"stereo_algorithm": True}, r"stereo_algorithm = True is bool, it takes int"),
         ({"disparity_rage": 64}, r"unknown parameter 'disparity_rage': did you mean 'disparity_range'"),
-        ({"stereo_algorithm": 1, "P1": 500.0}, r"P2 = 400 is not above P1 = 500: raise P2 or lower P1"),
+        ({"stereo_algorithm": 1, "P1": 500.0, "P2": 400.0}, r"P2 = 400 is not above P1 = 500: raise P2 or lower P1"),
     ],
 )
 def test_refused_values_name_value_limit_and_remedy(changes: dict[str, object], message: str) -> None:

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros import parallel
-from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config import MatchingConfig, replace_checked
 from stereo_depth_ros.errors import ConfigError, ImageError
 from stereo_depth_ros.evaluation.metrics import disparity_errors
 from stereo_depth_ros.matching import MATCHERS, create_matcher, matcher_from_config
+from stereo_depth_ros.matching.semi_global_block_matching import penalties
 from stereo_depth_ros.types import U8, MatchResult, Reason
 
 
@@ -52,8 +53,8 @@ def opencv_sgbm(config: MatchingConfig) -> cv2.StereoSGBM:
         config.min_disparity,
         config.num_disparities,
         config.correlation_window_size,
-        int(config.P1),
-        int(config.P2),
+        int(config.P1) or 8 * config.correlation_window_size**2,
+        int(config.P2) or 32 * config.correlation_window_size**2,
         config.disp12_max_diff,
         config.prefilter_cap,
         int(config.uniqueness_ratio),
@@ -75,9 +76,13 @@ def check_result(result: MatchResult, shape: tuple[int, int]) -> None:
     assert result.step_px == 1 / 16
 
 
+FIXED = ["bm", "sgbm"]  # disparities in OpenCV's 16-bit integers
+DENSE = [name for name in MATCHERS if name not in ("features", "onnx")]
+
+
 @pytest.fixture(params=[1, 2, 5])
 def cores(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr(parallel, "_cores", lambda: request.param)
+    monkeypatch.setattr(parallel, "core_count", lambda: request.param)
     return int(request.param)
 
 
@@ -167,6 +172,7 @@ def plain_bm(left: U8, right: U8, config: MatchingConfig) -> tuple[np.ndarray, n
 @pytest.mark.parametrize("min_disparity", [0, -7, 4])
 def test_bm_reasons_are_those_of_the_definition(min_disparity: int) -> None:
     config = MatchingConfig(
+        stereo_algorithm=0,
         num_disparities=32,
         min_disparity=min_disparity,
         correlation_window_size=7,
@@ -189,7 +195,8 @@ def test_bm_reasons_are_those_of_the_definition(min_disparity: int) -> None:
 @pytest.mark.parametrize("min_disparity", [0, -9, 6])
 def test_sgbm_equals_opencv(mode: int, min_disparity: int) -> None:
     fields = {"min_disparity": min_disparity, "num_disparities": 32, "correlation_window_size": 7, "sgbm_mode": mode}
-    matcher = create_matcher("sgbm", **fields, uniqueness_ratio=5.0, speckle_size=60, speckle_range=1)
+    checks = {"uniqueness_ratio": 5.0, "speckle_size": 60, "speckle_range": 1}
+    matcher = create_matcher("sgbm", **fields, **checks, P1=200, P2=400)
     left, right = textured_pair(121, 167, min_disparity, min_disparity + 30)
     result = matcher.match(left, right)
     check_result(result, (121, 167))
@@ -199,7 +206,30 @@ def test_sgbm_equals_opencv(mode: int, min_disparity: int) -> None:
     assert min(counts["NO_MATCH"], counts["SPECKLE"], counts["BORDER"]) > 0
 
 
-@pytest.mark.parametrize("name", list(MATCHERS))
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"correlation_window_size": 5}, (200, 800)),
+        ({"correlation_window_size": 15}, (1800, 7200)),
+        ({"correlation_window_size": 5, "P1": 31.4}, (31, 800)),
+        ({"correlation_window_size": 3, "P1": 300.0}, (300, 301)),
+        ({"correlation_window_size": 5, "P2": 90.0}, (45, 90)),
+        ({"correlation_window_size": 21}, (2602, 5205)),  # 32767 - 441 * 125 / 2, what is left in 16 bits
+    ],
+)
+def test_penalties_follow_the_window_where_none_are_set(fields: dict[str, Any], expected: tuple[int, int]) -> None:
+    config = MatchingConfig(stereo_algorithm=1, **fields)
+    assert penalties(config) == expected
+    left, right = textured_pair(90, 160, 0, 24)
+    found, as_set = (
+        create_matcher("sgbm", replace_checked(config, changes)).match(left, right).disparity_px
+        for changes in ({}, {"P1": float(expected[0]), "P2": min(float(expected[1]), 4000.0)})
+    )
+    if expected[1] <= 4000:  # as far as a parameter goes
+        np.testing.assert_array_equal(found, as_set)
+
+
+@pytest.mark.parametrize("name", DENSE)
 @pytest.mark.parametrize("shift", [7, -5])
 def test_a_shift_is_found_exactly(name: str, shift: int) -> None:
     rng = np.random.default_rng(5)
@@ -212,7 +242,7 @@ def test_a_shift_is_found_exactly(name: str, shift: int) -> None:
     np.testing.assert_allclose(found, shift, atol=2 / 16)
 
 
-@pytest.mark.parametrize("name", list(MATCHERS))
+@pytest.mark.parametrize("name", DENSE)
 def test_read_only_images_changing_sizes_and_buffers(name: str) -> None:
     matcher = create_matcher(name, num_disparities=32)
     for shape in ((90, 120), (70, 140), (90, 120)):
@@ -243,6 +273,8 @@ def test_matchers_in_several_threads() -> None:
 
 def test_create_by_name_number_and_outside_name() -> None:
     assert [create_matcher(name).name for name in ("bm", "sgbm", 0, 1)] == ["bm", "sgbm", "bm", "sgbm"]
+    assert [create_matcher(number).name for number in range(10)] == list(MATCHERS)[:10]
+    assert matcher_from_config(MatchingConfig()).name == "sgm"
     config = MatchingConfig(stereo_algorithm=1, speckle_size=7)
     matcher = create_matcher("bm", config, disparity_range=96)
     assert (matcher.config.num_disparities, matcher.config.speckle_size) == (96, 7)
@@ -251,7 +283,7 @@ def test_create_by_name_number_and_outside_name() -> None:
     assert matcher_from_config(config).config == config
 
 
-@pytest.mark.parametrize("name", ["sbm", 2, -1, True, 0.0, None])
+@pytest.mark.parametrize("name", ["sbm", 11, -1, True, 0.0, None])
 def test_unknown_matcher(name: Any) -> None:
     with pytest.raises(ConfigError, match=r"unknown matcher .*: known are bm \(0\), sgbm \(1\)"):
         create_matcher(name)
@@ -261,12 +293,12 @@ def test_refused_parameters() -> None:
     with pytest.raises(ConfigError, match="unknown parameter 'num_disparity'"):
         create_matcher("bm", num_disparity=64)
     with pytest.raises(ConfigError, match="P2 = 100 is not above P1 = 200"):
-        create_matcher("sgbm", P2=100)
+        create_matcher("sgbm", P1=200, P2=100)
     with pytest.raises(ConfigError, match=r"uniqueness_ratio = 99\.6 divides by zero in sgbm_mode 2: take 99"):
         create_matcher("sgbm", uniqueness_ratio=99.6, sgbm_mode=2)
 
 
-@pytest.mark.parametrize("name", list(MATCHERS))
+@pytest.mark.parametrize("name", FIXED)
 @pytest.mark.parametrize(("low", "count"), [(0, 2064), (-2048, 32), (2032, 32)])
 def test_disparities_that_do_not_fit_are_refused(name: str, low: int, count: int) -> None:
     with pytest.raises(ConfigError, match=rf"disparities {low}\.\.{low + count - 1} are searched.*-2047\.\.2047"):
@@ -283,7 +315,7 @@ def test_sgbm_windows_that_overflow_are_refused(cap: int, largest: int) -> None:
         create_matcher("sgbm", correlation_window_size=largest + 2, prefilter_cap=cap)
 
 
-@pytest.mark.parametrize("name", list(MATCHERS))
+@pytest.mark.parametrize("name", FIXED)
 @pytest.mark.parametrize("min_disparity", [-100, -40, -10, 0, 10])
 def test_smallest_image_works_and_smaller_is_refused(name: str, min_disparity: int) -> None:
     matcher = create_matcher(name, min_disparity=min_disparity, num_disparities=32, correlation_window_size=9)
@@ -295,7 +327,7 @@ def test_smallest_image_works_and_smaller_is_refused(name: str, min_disparity: i
             matcher.match(left[small], right[small])
 
 
-@pytest.mark.parametrize("name", list(MATCHERS))
+@pytest.mark.parametrize("name", [*DENSE, "features"])
 def test_wrong_images_are_refused(name: str) -> None:
     matcher = create_matcher(name)
     good = np.zeros((60, 120), np.uint8)

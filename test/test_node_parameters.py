@@ -28,12 +28,12 @@ pytestmark = pytest.mark.graph
 
 BOOL, INT = ParameterType.PARAMETER_BOOL, ParameterType.PARAMETER_INTEGER
 DOUBLE, STRING = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_STRING
-# The parameters of stereo_image_proc (Jazzy): type, default, lowest, highest, step.
+# The parameters of stereo_image_proc (Jazzy): type, default, lowest, highest, step; of four see WIDER in test_config.py.
 MATCHER = {
-    "stereo_algorithm": (INT, 0, 0, 1, 1),
+    "stereo_algorithm": (INT, 2, 0, 10, 1),
     "prefilter_size": (INT, 9, 5, 255, 2),
     "prefilter_cap": (INT, 31, 1, 63, 1),
-    "correlation_window_size": (INT, 15, 5, 255, 2),
+    "correlation_window_size": (INT, 15, 1, 255, 2),
     "min_disparity": (INT, 0, -2048, 2048, 1),
     "disparity_range": (INT, 64, 32, 4096, 16),
     "texture_threshold": (INT, 10, 0, 10000, 1),
@@ -42,8 +42,8 @@ MATCHER = {
     "disp12_max_diff": (INT, 0, 0, 128, 1),
     "sgbm_mode": (INT, 0, 0, 3, 1),
     "uniqueness_ratio": (DOUBLE, 15.0, 0.0, 100.0, 0.0),
-    "P1": (DOUBLE, 200.0, 0.0, 4000.0, 0.0),
-    "P2": (DOUBLE, 400.0, 0.0, 4000.0, 0.0),
+    "P1": (DOUBLE, 0.0, 0.0, 4000.0, 0.0),
+    "P2": (DOUBLE, 0.0, 0.0, 4000.0, 0.0),
 }
 BOTH = {
     "queue_size": (INT, 5),
@@ -135,7 +135,15 @@ def test_matcher_changes_at_the_next_frame(running: Disparities) -> None:
     before = running.next()
     assert running.graph.set_parameter("stereo_algorithm", 1).successful
     assert running.next().image.data != before.image.data
-    assert running.graph.set_parameter("stereo_algorithm", 0).successful
+    assert running.graph.set_parameter("stereo_algorithm", 2).successful
+    assert running.next().image.data == before.image.data
+
+
+def test_matcher_that_lacks_something_is_refused_and_the_old_one_stays(running: Disparities) -> None:
+    before = running.next()
+    refused = running.graph.set_parameter("stereo_algorithm", 10)
+    assert not refused.successful
+    assert "onnx_model" in refused.reason
     assert running.next().image.data == before.image.data
 
 
@@ -165,7 +173,8 @@ def test_refused_change_says_why_and_leaves_the_value(running: Disparities, name
 
 def test_penalties_must_ascend_for_sgbm_only(running: Disparities) -> None:
     graph = running.graph
-    assert graph.set_parameter("P1", 500.0).successful  # block matching has no penalties
+    for name, value in (("P1", 500.0), ("P2", 400.0)):
+        assert graph.set_parameter(name, value).successful  # only sgbm has these penalties
     refused = graph.set_parameter("stereo_algorithm", 1)
     assert (refused.successful, refused.reason) == (False, "P2 = 400 is not above P1 = 500: raise P2 or lower P1")
     assert graph.set_parameter("P2", 800.0).successful
@@ -183,7 +192,7 @@ def test_atomic_change_is_taken_or_refused_as_a_whole(running: Disparities) -> N
             SetParametersAtomically, "/stereo_depth_node/set_parameters_atomically", request
         ).result
 
-    assert not change(min_disparity=3, stereo_algorithm=1, P1=900.0).successful
+    assert not change(min_disparity=3, stereo_algorithm=1, P1=900.0, P2=400.0).successful
     unchanged = running.next()
     assert unchanged.max_disparity - unchanged.min_disparity == pytest.approx(31)
     assert unchanged.max_disparity == pytest.approx(31 - running_doffs(unchanged))
@@ -199,11 +208,13 @@ def running_doffs(message: DisparityImage) -> float:
 def test_change_that_the_images_are_too_small_for_is_told_and_can_be_undone(running: Disparities) -> None:
     graph = running.graph
     before = running.next()
+    assert graph.set_parameter("stereo_algorithm", 0).successful
     assert graph.set_parameter("disparity_range", 256).successful  # nothing is wrong with the number itself
     graph.send(StereoCamera(frames=1).pair(STAMP_NS + 100 * NS_PER_S))
     graph.wait_error("images of 200 x 120 px .* needs 264 x 9 px: lower disparity_range")
     assert graph.counter("ImageError") == 1
     assert graph.set_parameter("disparity_range", 32).successful
+    assert graph.set_parameter("stereo_algorithm", 2).successful
     running._stamp_ns = STAMP_NS + 200 * NS_PER_S
     assert running.next().image.data == before.image.data
 
@@ -273,7 +284,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], list[str], str]] = {
         "disparity_range = 70 is not 32 plus a multiple of 16: take 64 or 80",
     ),
     "contradiction": (
-        {"stereo_algorithm": 1, "P1": 500.0},
+        {"stereo_algorithm": 1, "P1": 500.0, "P2": 400.0},
         [],
         "P2 = 400 is not above P1 = 500: raise P2 or lower P1",
     ),

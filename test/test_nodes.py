@@ -107,7 +107,7 @@ def test_disparity_message_describes_the_rig_and_the_search(fused: dict[str, Any
     assert message.t == pytest.approx(-right[0, 3] / right[0, 0], rel=1e-7)
     assert doffs > 1  # published disparities are shifted by it, so the test needs one
     assert (message.min_disparity, message.max_disparity) == pytest.approx((-doffs, RANGE - 1 - doffs), rel=1e-6)
-    assert message.delta_d == pytest.approx(1 / 16)
+    assert message.delta_d == pytest.approx(1 / 64)
     window, margin = message.valid_window, WINDOW // 2
     assert (window.x_offset, window.y_offset) == (RANGE - 1 + margin, margin)
     assert (window.width, window.height) == (WIDTH - RANGE + 1 - 2 * margin, HEIGHT - 2 * margin)

@@ -18,7 +18,7 @@ from stereo_depth_ros.parallel import compiled, run_bands
 
 @pytest.fixture(params=[1, 2, 5])
 def cores(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr(parallel, "_cores", lambda: request.param)
+    monkeypatch.setattr(parallel, "core_count", lambda: request.param)
     return int(request.param)
 
 
@@ -48,7 +48,7 @@ def test_number_of_bands(cores: int) -> None:
 
 @pytest.mark.parametrize("failing", [0, 1])
 def test_exception_comes_back_after_all_bands(monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
-    monkeypatch.setattr(parallel, "_cores", lambda: 3)
+    monkeypatch.setattr(parallel, "core_count", lambda: 3)
     done: list[int] = []
 
     def kernel(first: int, last: int) -> None:
@@ -90,7 +90,7 @@ def test_works_in_a_forked_child() -> None:
     program = """
 import os, sys
 from stereo_depth_ros import parallel
-parallel._cores = lambda: 3
+parallel.core_count = lambda: 3
 def work():
     rows = []
     parallel.run_bands(lambda first, last: rows.extend(range(first, last)), 300)

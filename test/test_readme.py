@@ -130,6 +130,7 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
 
     from stereo_depth_ros.nodes.depth_node import DepthNode
     from stereo_depth_ros.nodes.disparity_node import DisparityNode
+    from stereo_depth_ros.nodes.feature_node import FeatureNode
     from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
     from stereo_depth_ros.nodes.rectify_node import RectifyNode
     from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
@@ -138,7 +139,7 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
         found = {end.topic_name.lstrip("/"): end.msg_type.__name__ for end in endpoints}
         return {name: kind for name, kind in found.items() if name not in ("rosout", "parameter_events", "clock")}
 
-    with Graph(RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode) as graph:
+    with Graph(RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode, FeatureNode) as graph:
         kinds = {end.topic_name: end.msg_type for node in graph.nodes for end in node.publishers}
         for topic in kinds.keys() - {"/rosout", "/parameter_events", "/diagnostics"}:
             graph.listen(topic, kinds[topic])

@@ -26,7 +26,7 @@ def _blocks(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
 @pytest.mark.parametrize("cores", [1, 2, 5])
 @pytest.mark.parametrize(("size", "difference"), [(1, 0), (20, 4), (63, 3), (200, 64), (1000, 496)])
 def test_speckles_are_those_of_opencv(size: int, difference: int, cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "_cores", lambda: cores)
+    monkeypatch.setattr(parallel, "core_count", lambda: cores)
     speckle_filter = SpeckleFilter(size, difference)
     rng = np.random.default_rng(size)
     removed = 0
@@ -43,7 +43,7 @@ def test_speckles_are_those_of_opencv(size: int, difference: int, cores: int, mo
 
 
 def test_component_across_all_bands_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "_cores", lambda: 4)
+    monkeypatch.setattr(parallel, "core_count", lambda: 4)
     fixed = np.full((256, 10), 160, np.int16)
     reasons = np.full((256, 10), Reason.NO_MATCH, np.uint8)
     reasons[:, 3] = 0  # a pole of 256 pixels over four bands

@@ -56,8 +56,12 @@ def check_search(config: MatchingConfig) -> None:
         )
 
 
-def check_pair(left: U8, right: U8, config: MatchingConfig) -> None:
-    """ImageError where the images are not two uint8 (H, W) of one size, with room for the window and the search."""
+def check_pair(left: U8, right: U8, config: MatchingConfig, partial: bool = False) -> None:
+    """ImageError where the images are not two uint8 (H, W) of one size, with room for the window and the search.
+
+    Args:
+        partial: the method also searches the part of the range that lies in the right image: one disparity is enough.
+    """
     for side, image in (("left", left), ("right", right)):
         if image.dtype != np.uint8 or image.ndim != 2:
             raise ImageError(
@@ -66,6 +70,9 @@ def check_pair(left: U8, right: U8, config: MatchingConfig) -> None:
     if left.shape != right.shape:
         raise ImageError(f"left image is {left.shape}, right image is {right.shape}: both must have one size")
     height, width = left.shape
+    nearest = max(config.min_disparity, -config.max_disparity, 0)
+    if partial and height and width > nearest:
+        return
     window = config.correlation_window_size
     need = window + max(0, config.max_disparity) + max(0, -config.min_disparity)
     if width < need or height < window:

@@ -16,7 +16,7 @@ from stereo_depth_ros.matching.refinement import I16, SpeckleFilter, disparity_f
 from stereo_depth_ros.parallel import compiled, run_bands
 from stereo_depth_ros.types import F32, U8, MatchResult, Reason
 
-__all__ = ["SemiGlobalBlockMatcher"]
+__all__ = ["SemiGlobalBlockMatcher", "penalties"]
 
 MODES = (
     cv2.STEREO_SGBM_MODE_SGBM,
@@ -24,6 +24,7 @@ MODES = (
     cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     cv2.STEREO_SGBM_MODE_HH4,
 )
+LARGEST_TOTAL = 2**15 - 1  # OpenCV sums in 16 bits
 BORDER = int(Reason.BORDER)
 NO_MATCH = int(Reason.NO_MATCH)
 
@@ -32,9 +33,9 @@ class SemiGlobalBlockMatcher:
     """``cv2.StereoSGBM`` (Hirschmueller 2008, with block costs of Birchfield and Tomasi 1998).
 
     One run over the whole image: paths cross all rows, so bands would change the result. ``uniqueness_ratio``, ``P1``
-    and ``P2`` are rounded to whole numbers; ``disp12_max_diff`` 0 is 1 px and P1 0 is 2, as in OpenCV. OpenCV does not
-    tell why it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle filter is
-    ours, with OpenCV's result, and has its own reason.
+    and ``P2`` are rounded to whole numbers, see :func:`penalties`; ``disp12_max_diff`` 0 is 1 px, as in OpenCV. OpenCV
+    does not tell why it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle
+    filter is ours, with OpenCV's result, and has its own reason.
     """
 
     name = "sgbm"
@@ -44,6 +45,7 @@ class SemiGlobalBlockMatcher:
         """ConfigError where OpenCV would crash or return wrong disparities with these parameters."""
         check_search(config)
         _check_window(config)
+        P1, P2 = penalties(config)
         uniqueness = round(config.uniqueness_ratio)
         if config.sgbm_mode == 2 and uniqueness == 100:
             raise ConfigError(
@@ -57,8 +59,8 @@ class SemiGlobalBlockMatcher:
             minDisparity=config.min_disparity,
             numDisparities=config.num_disparities,
             blockSize=config.correlation_window_size,
-            P1=round(config.P1),
-            P2=round(config.P2),
+            P1=P1,
+            P2=P2,
             disp12MaxDiff=config.disp12_max_diff,
             preFilterCap=config.prefilter_cap,
             uniquenessRatio=uniqueness,
@@ -84,10 +86,25 @@ class SemiGlobalBlockMatcher:
         return MatchResult(disparity_px, reasons, self.step_px)
 
 
+def penalties(config: MatchingConfig) -> tuple[int, int]:
+    """P1 and P2 as given, or where they are 0, 8 and 32 times the area of the window, as OpenCV recommends.
+
+    They grow with the window because its cost is a sum. An automatic P2 leaves room for the costs in 16 bits.
+    """
+    area = config.correlation_window_size**2
+    room = LARGEST_TOTAL - area * _largest_pixel_cost(config) // 2
+    P1 = round(config.P1) or min(8 * area, (round(config.P2) or room) // 2)
+    return P1, round(config.P2) or max(min(32 * area, room), P1 + 1)
+
+
+def _largest_pixel_cost(config: MatchingConfig) -> int:
+    return 2 * config.prefilter_cap + 63  # gradient, and grey / 4
+
+
 def _check_window(config: MatchingConfig) -> None:
     """ConfigError where OpenCV's 16-bit costs overflow: it then returns dense, wrong disparities."""
-    # A pixel costs at most 2 prefilter_cap (gradient) + 63 (grey / 4); real windows stay below half of the worst case.
-    largest = math.isqrt(2 * 32767 // (2 * config.prefilter_cap + 63))
+    # real windows stay below half of the worst case
+    largest = math.isqrt(2 * LARGEST_TOTAL // _largest_pixel_cost(config))
     if config.correlation_window_size > largest:
         raise ConfigError(
             f"correlation_window_size = {config.correlation_window_size} overflows the 16-bit costs of sgbm with "

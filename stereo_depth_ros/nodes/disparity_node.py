@@ -13,6 +13,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.disparity import DisparityStage
 from stereo_depth_ros.io.image_message import to_gray
 from stereo_depth_ros.io.result_messages import PayloadPool, match_message
+from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
@@ -27,6 +28,7 @@ class DisparityNode(StereoNode):
 
     def __init__(self) -> None:
         super().__init__("disparity_node", MatchingConfig)
+        self.parameters.require(MatchingConfig, matcher_from_config)  # its kernels too are ready then
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._pool = PayloadPool(self.types)
         self._stage = functools.lru_cache(maxsize=1)(DisparityStage)

@@ -43,6 +43,7 @@ class NodeParameters:
         _refuse_unknown_qos(overrides)
         self.on_change: Callable[[], None] = lambda: None
         self._configs: dict[type, Any] = {}
+        self._checks: dict[type, Callable[[Any], object]] = {}
         for config in configs:
             given = {i.name: overrides[i.name] for i in parameter_infos(config) if i.name in overrides}
             checked = self._configs[config] = replace_checked(config(), given)
@@ -50,6 +51,11 @@ class NodeParameters:
                 # The checked value: rclpy would refuse an override of 20 for a parameter of 20.0.
                 node.declare_parameter(info.name, getattr(checked, info.field), _descriptor(info), ignore_override=True)
         node.add_on_set_parameters_callback(self._on_set)
+
+    def require(self, config: type[ConfigT], check: Callable[[ConfigT], object]) -> None:
+        """Calls ``check`` now and before every change of ``config``; it raises ConfigError to refuse the change."""
+        check(self.get(config))
+        self._checks[config] = check
 
     def get(self, config: type[ConfigT]) -> ConfigT:
         """The config as it is now; another object after a change."""
@@ -61,9 +67,11 @@ class NodeParameters:
                 config: replace_checked(current, {p.name: p.value for p in parameters if p.name in _names(config)})
                 for config, current in self._configs.items()
             }
+            changed = {config: value for config, value in changed.items() if value != self._configs[config]}
+            for config, value in changed.items():
+                self._checks.get(config, lambda _: None)(value)
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        changed = {config: value for config, value in changed.items() if value != self._configs[config]}
         if changed:
             self._configs |= changed
             self.on_change()

@@ -13,6 +13,7 @@ from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, PairingConfig, PipelineConfig
 from stereo_depth_ros.io.result_messages import ResultMessages
+from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
@@ -40,6 +41,7 @@ class StereoDepthNode(StereoNode):
 
     def __init__(self) -> None:
         super().__init__("stereo_depth_node", MatchingConfig, DepthConfig, CloudConfig)
+        self.parameters.require(MatchingConfig, matcher_from_config)  # its kernels too are ready then
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         self._pipeline = functools.lru_cache(maxsize=1)(StereoPipeline)
         self._messages = ResultMessages(self.types)
