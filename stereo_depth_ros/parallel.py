@@ -9,6 +9,7 @@ import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
@@ -34,12 +35,25 @@ def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], 
     """
 
     def decorate(function: FunctionT) -> FunctionT:
-        kernel: FunctionT = numba.njit(
-            list(signatures) or None, nogil=True, cache=bool(signatures), forceinline=not signatures, _nrt=allocates
-        )(function)
-        return kernel
+        kernel: Any = numba.njit(nogil=True, forceinline=not signatures, _nrt=allocates)(function)
+        if signatures:
+            kernel.enable_caching()
+            # Numba looks at the file of the kernel alone; the helpers that become part of it are in others, too.
+            kernel._cache._cache_file._source_stamp = _sources_stamp()
+            for signature in signatures:
+                kernel.compile(signature)
+            kernel.disable_compile()
+        return kernel  # type: ignore[no-any-return]
 
     return decorate
+
+
+@functools.cache
+def _sources_stamp() -> tuple[tuple[str, int, int], ...]:
+    """Name, time and size of every file that may be part of a kernel: all but nodes and the command line."""
+    root = Path(__file__).parent
+    paths = (path for path in sorted(root.rglob("*.py")) if path.relative_to(root).parts[0] not in ("nodes", "cli"))
+    return tuple((str(path.relative_to(root)), path.stat().st_mtime_ns, path.stat().st_size) for path in paths)
 
 
 def core_count() -> int:
