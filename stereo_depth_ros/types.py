@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -80,13 +82,19 @@ class MatchResult:
         disparity_px: float32 (H, W), x_left - x_right in pixels, NaN where invalid.
         reasons: uint8 (H, W), bits of :class:`Reason`, 0 exactly where ``disparity_px`` is finite.
         step_px: smallest difference between two disparities this matcher can tell (1/16 for OpenCV's).
-        confidence: float32 (H, W) in [0, 1], or None from a method that has none.
+        confidence_source: the confidence, or what computes it when it is asked for; None from a method without one.
     """
 
     disparity_px: F32
     reasons: U8
     step_px: float
-    confidence: F32 | None = None
+    confidence_source: F32 | Callable[[], F32] | None = None
+
+    @cached_property
+    def confidence(self) -> F32 | None:
+        """How far each disparity can be trusted, float32 (H, W) in [0, 1], 0 where there is none."""
+        source = self.confidence_source
+        return source() if callable(source) else source
 
     @property
     def valid_fraction(self) -> float:

@@ -130,7 +130,7 @@ def test_input_layouts_and_output_shapes(tmp_path: Path, kind: int, shape: Any, 
     assert (result.disparity_px.shape, result.reasons.shape) == ((51, 131), (51, 131))
     np.testing.assert_array_equal(result.reasons == 0, np.isfinite(result.disparity_px))
     assert_shift(result, 9)
-    assert result.confidence is None
+    assert result.confidence is not None and not result.confidence[result.reasons != 0].any()
 
 
 @pytest.mark.parametrize(("low", "shift"), [(-16, -5), (-7, 3), (4, 21)])

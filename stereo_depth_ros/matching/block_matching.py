@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TypeAlias
 
 import numba
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.matching.agreement import agreement
 from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
 from stereo_depth_ros.matching.refinement import I16, I32, SpeckleFilter, disparity_from_fixed
 from stereo_depth_ros.parallel import READ_ONLY_U8, compiled, run_bands
@@ -74,7 +76,7 @@ class BlockMatcher:
         run_bands(_match_rows, rows, *values, min_rows=max(64, 2 * config.correlation_window_size))
         self._speckle_filter(self._fixed, reasons)
         disparity_from_fixed(self._fixed, reasons, disparity_px)
-        return MatchResult(disparity_px, reasons, self.step_px)
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px))
 
 
 @compiled()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.matching.agreement import agreement
 from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
 from stereo_depth_ros.types import F32, U8, MatchResult, Reason
 
@@ -71,7 +73,7 @@ class OnnxMatcher:
         np.add(found[:, wider:], np.float32(first), out=disparity_px)
         reasons = _reasons(disparity_px, self.config)
         disparity_px[reasons != 0] = np.nan
-        return MatchResult(disparity_px, reasons, self.step_px)
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px))
 
     def _run(self, left: Any, right: Any) -> F32:
         """The disparities of two tensors, float32, of their height and width."""

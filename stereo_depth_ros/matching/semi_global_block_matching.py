@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.matching.agreement import agreement
 from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
 from stereo_depth_ros.matching.refinement import I16, SpeckleFilter, disparity_from_fixed
 from stereo_depth_ros.parallel import compiled, run_bands
@@ -83,7 +85,7 @@ class SemiGlobalBlockMatcher:
         run_bands(_reason_rows, left.shape[0], self._fixed, self._invalid, begin, end, reasons)
         self._speckle_filter(self._fixed, reasons)
         disparity_from_fixed(self._fixed, reasons, disparity_px)
-        return MatchResult(disparity_px, reasons, self.step_px)
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px))
 
 
 def penalties(config: MatchingConfig) -> tuple[int, int]:
