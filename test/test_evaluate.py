@@ -76,10 +76,10 @@ def test_scenes_times_methods_as_table_json_csv_and_pictures(run: Run, tmp_path:
     with sheet.open(newline="") as file:
         lines = list(csv.DictReader(file))
     assert [float(line["bad_2_all"]) for line in lines] == [row["bad_2_all"] for row in rows]
-    assert lines[0]["auc_bad_1"] == "" and "curve" not in lines[0]
-    assert sorted(path.name for path in pictures.iterdir()) == [
-        f"{s}_{m}.png" for s in ("one", "two") for m in ("bm", "sgbm")
-    ]
+    assert 0 < float(lines[0]["auc_bad_1_ratio"]) < 1 and "curve" not in lines[0]
+    assert sorted(path.name for path in pictures.iterdir()) == sorted(
+        f"{s}_{m}{kind}.png" for s in ("one", "two") for m in ("bm", "sgbm") for kind in ("", "_confidence")
+    )
     assert cv2.imread(str(pictures / "one_bm.png")).shape[1] > 1000
 
 

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from evaluation_scenes import FAR_PX, NEAR_PX, pair
+from evaluation_scenes import NEAR_PX, pair
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError, ImageError
@@ -176,5 +176,5 @@ def test_real_methods_on_a_scene_of_whole_disparities(matcher: str) -> None:
     assert 0.65 < evaluation.errors.density < 0.85
     assert evaluation.errors.median_px <= 1 / 16 and evaluation.errors.bad_1 < 6
     assert evaluation.nonocc.bad_1 < evaluation.errors.bad_1
-    assert evaluation.confidence is None and FAR_PX > 0
-    assert evaluation.figures()["auc_bad_1_ratio"] is None
+    ratio = evaluation.figures()["auc_bad_1_ratio"]
+    assert isinstance(ratio, float) and 0 < ratio < 0.5

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.graph
 
 BOOL, INT = ParameterType.PARAMETER_BOOL, ParameterType.PARAMETER_INTEGER
 DOUBLE, STRING = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_STRING
-# The parameters of stereo_image_proc (Jazzy): type, default, lowest, highest, step; of four see WIDER in test_config.py.
+# The parameters of stereo_image_proc (Jazzy), type, default, lowest, highest, step; see also WIDER in test_config.py.
 MATCHER = {
     "stereo_algorithm": (INT, 2, 0, 10, 1),
     "prefilter_size": (INT, 9, 5, 255, 2),
