@@ -98,10 +98,12 @@ def _hamming_row(left: U64, right: U64, max_disparity: int, raw: U8) -> None:
         at = x - max_disparity  # right column of index 0
         begin, end = min(max(-at, 0), count), max(min(width - at, count), 0)
         here = raw[x + 1]
-        if begin > 0 or end < count:
-            here[:] = NEUTRAL_COST
         if begin < end:
             _hamming(left[x], right[at + begin : at + end], here[begin:end])
+            here[:begin] = min(here[begin], NEUTRAL_COST)
+            here[end:] = min(here[end - 1], NEUTRAL_COST)
+        else:
+            here[:] = NEUTRAL_COST
     for k in range(count):
         raw[0, k] = raw[1, k]
         raw[width + 1, k] = raw[width, k]
@@ -112,7 +114,8 @@ def cost_rows(left: U64, right: U64, first: int, last: int, max_disparity: int, 
     """Matching costs of a band of rows: Hamming distances, smoothed by (1 2 1) / 4 along x and along y.
 
     Index k of a cost counts down from the largest disparity, so that it runs along the right image. Where the right
-    image has ended the distance is ``NEUTRAL_COST``.
+    image has ended the distance stays what it was at the end, at most ``NEUTRAL_COST``: a distance of its own would
+    favour the disparities inside, and paths would carry that over all of an image without texture.
 
     Args:
         left, right: census of the images, uint64 (H, W).

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Path costs in 8 bits against the recurrence in 64."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from stereo_depth_ros.matching.census import CENSUS_BITS
+from stereo_depth_ros.matching.path_costs import LARGEST_PATH_COST, path_step, start_path, step_row
+from stereo_depth_ros.types import U8
+
+I64 = npt.NDArray[np.int64]
+
+
+def step_by_definition(before: I64, cost: I64, P1: int, P2: int) -> I64:
+    """Equation 13 of Hirschmueller 2008 for all disparities of a pixel, in int64."""
+    far = 1 << 40
+    padded = np.concatenate(([far], before, [far]))
+    ways = [before, padded[:-2] + P1, padded[2:] + P1, np.full_like(before, before.min() + P2)]
+    step: I64 = cost + np.min(ways, axis=0) - before.min()
+    return step
+
+
+def path_by_definition(cost: I64, image: U8, P1: int, P2: I64, dy: int, dx: int) -> I64:
+    """int64 (H, W, K): path costs of a whole image in the direction (dy, dx); P2 by the grey difference."""
+    height, width, _ = cost.shape
+    path = cost.copy()
+    for y in range(height)[:: -1 if dy < 0 else 1]:
+        for x in range(width)[:: -1 if dx < 0 else 1]:
+            if 0 <= y - dy < height and 0 <= x - dx < width:
+                edge = abs(int(image[y, x]) - int(image[y - dy, x - dx]))
+                path[y, x] = step_by_definition(path[y - dy, x - dx], cost[y, x], P1, int(P2[edge]))
+    return path
+
+
+def padded(shape: tuple[int, ...], P1: int) -> U8:
+    """Path costs to be written, with the elements at the ends that never win."""
+    return np.full((*shape[:-1], shape[-1] + 2), LARGEST_PATH_COST - P1, np.uint8)
+
+
+@pytest.mark.parametrize("count", [1, 2, 37, 64])
+@pytest.mark.parametrize(("P1", "P2"), [(1, 192), (96, 97), (30, 150), (5, 5)])
+def test_steps_along_a_path(count: int, P1: int, P2: int) -> None:
+    rng = np.random.default_rng(count)
+    costs = rng.choice([0, 1, 20, 31, CENSUS_BITS], (150, count), p=[0.2, 0.1, 0.2, 0.1, 0.4]).astype(np.uint8)
+    before, after = padded((count,), P1), padded((count,), P1)
+    least = start_path(costs[0], before)
+    expected = costs[0].astype(np.int64)
+    for cost in costs[1:]:
+        assert least == expected.min()
+        np.testing.assert_array_equal(before[1:-1], expected)
+        least = path_step(before, least, cost, np.uint8(P1), np.uint8(P2), after)
+        expected = step_by_definition(expected, cost.astype(np.int64), P1, P2)
+        before, after = after, before
+        assert before[0] == before[-1] == LARGEST_PATH_COST - P1
+
+
+def test_a_step_at_the_largest_penalties_fills_8_bits() -> None:
+    P1, P2 = 1, LARGEST_PATH_COST - CENSUS_BITS - 1
+    before, after = padded((5,), P1), padded((5,), P1)
+    before[1:-1] = [0, 255 - P1, 255 - P1, 255 - P1, 255 - P1]
+    path_step(before, np.uint8(0), np.full(5, CENSUS_BITS, np.uint8), np.uint8(P1), np.uint8(P2), after)
+    np.testing.assert_array_equal(after[1:-1], [62, 63, 254, 254, 254])
+
+
+@pytest.mark.parametrize("shift", [0, 1, -1])
+def test_rows_of_an_image(shift: int) -> None:
+    height, width, count, P1 = 6, 11, 16, 20
+    rng = np.random.default_rng(4)
+    image = rng.integers(0, 256, (height, width), np.uint8)
+    cost = rng.integers(0, CENSUS_BITS + 1, (height, width, count), np.uint8)
+    P2 = np.linspace(170, P1, 256).astype(np.uint8)
+    path, least = padded(cost.shape, P1), np.zeros((height, width), np.uint8)
+    for y in range(height):
+        above = max(y - 1, 0)
+        columns = shift if y > 0 else width  # further than the row is long: all paths begin
+        step_row(
+            image[y], image[above], columns, cost[y], np.uint8(P1), P2, path[above], least[above], path[y], least[y]
+        )
+    expected = path_by_definition(cost.astype(np.int64), image, P1, P2.astype(np.int64), 1, shift)
+    np.testing.assert_array_equal(path[..., 1:-1], expected)
+    np.testing.assert_array_equal(least, expected.min(axis=2))
