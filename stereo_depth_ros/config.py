@@ -223,7 +223,9 @@ class MatchingConfig(_Checked):
     sgm_P2: int = _parameter(
         150, "Penalty on larger disparity steps where the image is flat, in census bits; sgm.", low=2, high=192
     )
-    median_filter: bool = _parameter(False, "Median of the disparities over 3 x 3 pixels; sgm.")
+    disparity_filter: str = _parameter(
+        "mean", "Mean of neighbours that differ by up to 1 px, or median; sgm.", choices=("none", "mean", "median")
+    )
     fill_holes: bool = _parameter(
         False, "Gives every pixel a disparity, holes that of the farther surface beside them; sgm, scanline."
     )

@@ -18,8 +18,8 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError, ImageError
 from stereo_depth_ros.io.datasets.middlebury_scene import MiddleburyScene
 from stereo_depth_ros.matching import create_matcher, semi_global_matching
+from stereo_depth_ros.matching.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.hole_filling import fill_holes
-from stereo_depth_ros.matching.median import MedianFilter
 from stereo_depth_ros.matching.semi_global_matching import SemiGlobalMatcher
 from stereo_depth_ros.types import F32, U8, MatchResult, Reason
 
@@ -28,7 +28,8 @@ EIGHT_PATHS = (*FOUR_PATHS, (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def matcher(**fields: Any) -> SemiGlobalMatcher:
-    made = create_matcher("sgm", **fields)
+    """Without a filter, unless one is asked for: that has tests of its own."""
+    made = create_matcher("sgm", **{"disparity_filter": "none", **fields})
     assert isinstance(made, SemiGlobalMatcher)
     return made
 
@@ -169,7 +170,7 @@ def test_strips_differ_little_from_the_whole_image(paths: int, monkeypatch: pyte
     assert far.mean() < 0.002
 
 
-@pytest.mark.parametrize("fields", [{}, {"sgm_paths": 8, "median_filter": True, "fill_holes": True}])
+@pytest.mark.parametrize("fields", [{}, {"sgm_paths": 8, "disparity_filter": "median", "fill_holes": True}])
 def test_bytes_do_not_depend_on_the_cores(fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     left, right = patches(211, 130, 0, 28)
     results = []
@@ -295,25 +296,25 @@ def test_speckles_are_those_of_opencv_in_steps_of_an_eighth() -> None:
     np.testing.assert_array_equal(after.disparity_px, np.where(speckles, np.float32(np.nan), before.disparity_px))
 
 
-@pytest.mark.parametrize("median", [False, True])
-def test_dense_mode_fills_every_pixel(median: bool) -> None:
+@pytest.mark.parametrize("kind", ["none", "mean", "median"])
+def test_dense_mode_fills_every_pixel(kind: str) -> None:
     left, right = patches(60, 110, 0, 28)
     sparse = matcher(num_disparities=32).match(left, right)
-    dense = matcher(num_disparities=32, fill_holes=True, median_filter=median).match(left, right)
+    dense = matcher(num_disparities=32, fill_holes=True, disparity_filter=kind).match(left, right)
     check(dense, (60, 110))
     assert (dense.reasons == 0).all() and not (sparse.reasons == 0).all()
-    if median:
-        MedianFilter()(sparse.disparity_px)
+    DisparityFilter(kind, 1 / 64)(sparse.disparity_px)
     fill_holes(sparse.disparity_px, sparse.reasons)
     check_equal(dense, sparse)  # confidence too: 0 where filled
 
 
-def test_median_alone_leaves_the_holes() -> None:
+@pytest.mark.parametrize("kind", ["mean", "median"])
+def test_filter_alone_leaves_the_holes(kind: str) -> None:
     left, right = patches(60, 110, 0, 28)
     plain = matcher(num_disparities=32).match(left, right)
-    result = matcher(num_disparities=32, median_filter=True).match(left, right)
+    result = matcher(num_disparities=32, disparity_filter=kind).match(left, right)
     assert (result.disparity_px != plain.disparity_px)[plain.reasons == 0].any()
-    MedianFilter()(plain.disparity_px)
+    DisparityFilter(kind, 1 / 64)(plain.disparity_px)
     check_equal(result, plain)
 
 
@@ -407,7 +408,9 @@ def test_half_the_errors_of_opencv_on_scenes_not_tuned_on(stereo_data: Path) -> 
         truth_px = scene.truth()
         assert truth_px is not None
         count = max(32, 16 * int(np.ceil((np.nanmax(truth_px) + 1) / 16)))
-        sparse, dense = (matcher(num_disparities=count, fill_holes=fill).match(left, right) for fill in (False, True))
+        sparse, dense = (
+            create_matcher("sgm", num_disparities=count, fill_holes=fill).match(left, right) for fill in (False, True)
+        )
         check(sparse, truth_px.shape)
         assert dense.valid_fraction == 1
         ours.append(percentages(sparse.disparity_px, truth_px))

@@ -9,8 +9,8 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.matching.census import CENSUS_BITS, U64, census_rows
+from stereo_depth_ros.matching.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.hole_filling import fill_holes
-from stereo_depth_ros.matching.median import MedianFilter
 from stereo_depth_ros.matching.path_costs import LARGEST_PATH_COST
 from stereo_depth_ros.matching.protocol import check_pair, disparity_buffer
 from stereo_depth_ros.matching.refinement import I16, SpeckleFilter
@@ -42,6 +42,7 @@ class SemiGlobalMatcher:
     directions, with P2 lowered at edges of the left image: P2 / (1 + |difference| / 6), not below P1. The best
     disparity has a sub-pixel part from two lines of equal slope, whose pull towards whole pixels is taken back
     (Haller and Nedevschi 2012). The left-right check compares with what the right pixels prefer in the same sums.
+    Then speckles go, and ``disparity_filter`` evens out what is left.
 
     Vertical paths run over strips of rows, each with 16 rows of approach: strips are independent, and their costs stay
     in the cache (as the stripes of Spangenberg et al. 2014). Their heights follow from the image size and the search
@@ -60,7 +61,7 @@ class SemiGlobalMatcher:
         _check_penalties(config)
         self.config = config
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * SPECKLE_STEPS_PER_PX)
-        self._median_filter = MedianFilter()
+        self._disparity_filter = DisparityFilter(config.disparity_filter, self.step_px)
         lowered = config.sgm_P2 * EDGE_GREY_LEVELS / (EDGE_GREY_LEVELS + np.arange(256))
         self._search = Search(
             max_disparity=config.max_disparity,
@@ -90,8 +91,7 @@ class SemiGlobalMatcher:
         run_bands(match_bands, bands, bands, self._strips, *given, self._scratch, output, min_rows=1)
         self._speckle_filter(self._coarse, reasons)
         run_bands(_reject_rows, len(left), reasons, disparity_px, confidence)
-        if self.config.median_filter:
-            self._median_filter(disparity_px)
+        self._disparity_filter(disparity_px)
         if self.config.fill_holes:
             fill_holes(disparity_px, reasons)
         return MatchResult(disparity_px, reasons, self.step_px, confidence)
