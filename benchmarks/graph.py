@@ -3,7 +3,8 @@
 """Latency and throughput of the graph: raw pair published to PointCloud2 received, beside the bare kernels.
 
 This process publishes raw pairs and receives cloud and disparity; the nodes run in processes of their own. The bare
-kernels (remap twice, the matcher, reprojection; OpenCV's, with all threads) are measured between the frames.
+kernels (remap twice, the matcher, reprojection; OpenCV's where it has them, with all threads) are measured between the
+frames.
 
     python benchmarks/graph.py
     python benchmarks/graph.py --shapes fused --matchers bm --frames 100
@@ -24,12 +25,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.io.camera_info_message import camera_info_message
 from stereo_depth_ros.io.image_message import image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
 from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.matching import MATCHERS, create_matcher
+from stereo_depth_ros.matching.refinement import I16
+from stereo_depth_ros.matching.semi_global_block_matching import penalties
 from stereo_depth_ros.transport import prepare_process
-from stereo_depth_ros.types import StereoPair
+from stereo_depth_ros.types import U8, StereoPair
 
 os.environ.setdefault("ROS_DOMAIN_ID", "93")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -153,10 +158,10 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
     height, width = pair.left.pixels.shape
     K = np.array([[width * 0.9, 0, width / 2], [0, width * 0.9, height / 2], [0, 0, 1.0]])
     maps = cv2.initUndistortRectifyMap(K, np.array([0.1, -0.05, 0, 0, 0]), np.eye(3), K, (width, height), cv2.CV_16SC2)
-    stereo = _opencv_matcher(matcher, disparities)
     Q = np.array([[1, 0, 0, -width / 2], [0, 1, 0, -height / 2], [0, 0, 0, width * 0.9], [0, 0, 8.0, 0]])
     left, right = np.empty((2, height, width), np.uint8)
     fixed = np.empty((height, width), np.int16)
+    match = _bare_matcher(matcher, disparities, fixed)
     disparity = np.empty((height, width), np.float32)
     points = np.empty((height, width, 3), np.float32)
 
@@ -164,7 +169,7 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
         start = time.perf_counter()
         cv2.remap(pair.left.pixels, maps[0], maps[1], cv2.INTER_LINEAR, left)
         cv2.remap(pair.right.pixels, maps[0], maps[1], cv2.INTER_LINEAR, right)
-        stereo.compute(pair.left.pixels, pair.right.pixels, fixed)
+        match(pair.left.pixels, pair.right.pixels)
         middle = time.perf_counter()
         np.multiply(fixed, np.float32(1 / 16), out=disparity)
         again = time.perf_counter()
@@ -174,10 +179,18 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
     return run
 
 
+def _bare_matcher(matcher: str, disparities: int, fixed: I16) -> Callable[[U8, U8], object]:
+    """OpenCV's where it has the method, with the defaults of the nodes."""
+    if matcher == "sgm":
+        return create_matcher("sgm", num_disparities=disparities).match
+    stereo = _opencv_matcher(matcher, disparities)
+    return lambda left, right: stereo.compute(left, right, fixed)
+
+
 def _opencv_matcher(matcher: str, disparities: int) -> cv2.StereoMatcher:
-    """OpenCV's, with the defaults of the nodes."""
     if matcher == "sgbm":
-        return cv2.StereoSGBM.create(0, disparities, 15, 200, 400, 0, 31, 15, 100, 4)
+        P1, P2 = penalties(MatchingConfig())
+        return cv2.StereoSGBM.create(0, disparities, 15, P1, P2, 0, 31, 15, 100, 4)
     block_matching = cv2.StereoBM.create(disparities, 15)
     block_matching.setPreFilterCap(31)
     block_matching.setTextureThreshold(10)
@@ -190,7 +203,7 @@ def _opencv_matcher(matcher: str, disparities: int) -> cv2.StereoMatcher:
 @contextmanager
 def graph_processes(shape: str, matcher: str, disparities: int) -> Iterator[list[subprocess.Popen[bytes]]]:
     """The nodes of a shape, each a process."""
-    parameters = {"stereo_algorithm": ("bm", "sgbm").index(matcher), "disparity_range": disparities}
+    parameters = {"stereo_algorithm": list(MATCHERS).index(matcher), "disparity_range": disparities}
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
     processes = [
         subprocess.Popen([sys.executable, "-m", f"stereo_depth_ros.nodes.{node}", "--ros-args", *arguments])
@@ -265,7 +278,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--in-flight", type=int, default=3, help="pairs under way when going as fast as it goes")
     parser.add_argument("--shapes", nargs="+", default=list(NODES), choices=list(NODES))
-    parser.add_argument("--matchers", nargs="+", default=["bm", "sgbm"], choices=["bm", "sgbm"])
+    parser.add_argument("--matchers", nargs="+", default=["bm", "sgbm", "sgm"], choices=["bm", "sgbm", "sgm"])
     parser.add_argument("--sizes", nargs="+", type=int, default=[0, 1], choices=[0, 1])
     parser.add_argument("--typed", action="store_true", help="receive decoded messages instead of their bytes")
     options = parser.parse_args()

@@ -54,6 +54,7 @@ BOTH = {
 CLOUD = {"avoid_point_cloud_padding": (BOOL, False), "use_color": (BOOL, True)}
 VALUE_FIELDS = {BOOL: "bool_value", INT: "integer_value", DOUBLE: "double_value", STRING: "string_value"}
 STAMP_NS = 7 * NS_PER_S
+FEATURES = 9
 SMALL = {"disparity_range": 32, "correlation_window_size": 9}
 
 
@@ -137,6 +138,13 @@ def test_matcher_changes_at_the_next_frame(running: Disparities) -> None:
     assert running.next().image.data != before.image.data
     assert running.graph.set_parameter("stereo_algorithm", 2).successful
     assert running.next().image.data == before.image.data
+
+
+def test_every_matcher_takes_over_at_the_next_frame(running: Disparities) -> None:
+    for number in range(10):
+        assert running.graph.set_parameter("stereo_algorithm", number).successful
+        fraction = valid_fraction(running.next())
+        assert fraction > (0.002 if number == FEATURES else 0.2), number
 
 
 def test_matcher_that_lacks_something_is_refused_and_the_old_one_stays(running: Disparities) -> None:

@@ -17,7 +17,8 @@ from stereo_depth_ros.io.bag_writer import BagWriter
 from stereo_depth_ros.io.camera_info_message import camera_info_message
 from stereo_depth_ros.io.image_message import image_message
 from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.parameter_values import pipeline_config
+from stereo_depth_ros.matching import MATCHERS
+from stereo_depth_ros.parameter_values import parse_assignments, pipeline_config
 from stereo_depth_ros.replay.bag_pairs import BagSelection
 from stereo_depth_ros.replay.offline import process_bag
 
@@ -48,6 +49,15 @@ def test_every_pair_gives_every_output_with_the_depth_of_the_truth(bags: tuple[P
     assert result.score.median_px < 0.25
     assert 0.3 < result.score.valid_fraction < 0.95
     assert {"rectify", "match", "depth"} <= set(result.stages_ms)
+
+
+@pytest.mark.parametrize("name", [name for name in MATCHERS if name != "onnx"])  # which needs a network
+def test_every_matcher_by_name(bags: tuple[Path, Path], name: str) -> None:
+    values = {**PARAMETERS, **parse_assignments([], name)}
+    result = process_bag(BagSelection(bags[0], duration_seconds=0.05), bags[1], pipeline_config(values))
+    assert result.score is not None and (result.pairs, result.lost) == (1, 0)
+    assert result.score.median_px < 0.5  # some tell whole pixels only
+    assert (result.score.valid_fraction > 0.3) == (name != "features")
 
 
 def test_outputs_have_frames_encodings_and_a_cloud_that_agrees_with_the_depth(bags: tuple[Path, Path]) -> None:
