@@ -31,11 +31,13 @@ def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], 
     Args:
         signatures: of numba.
         allocates: False for functions that make no arrays: then views of arrays are not counted, which would be atomic
-            operations across threads, and cost nothing even for every pixel.
+            operations across threads, and cost nothing even for every pixel. Such helpers are always inlined; others are
+            left to LLVM, which does better with long ones.
     """
 
     def decorate(function: FunctionT) -> FunctionT:
-        kernel: Any = numba.njit(nogil=True, forceinline=not signatures, _nrt=allocates)(function)
+        inlined = not signatures and not allocates
+        kernel: Any = numba.njit(nogil=True, forceinline=inlined, _nrt=allocates)(function)
         if signatures:
             kernel.enable_caching()
             # Numba looks at the file of the kernel alone; the helpers that become part of it are in others, too.

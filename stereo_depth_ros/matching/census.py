@@ -24,7 +24,7 @@ RADIUS_X, RADIUS_Y = 4, 3
 CENSUS_BITS = (2 * RADIUS_X + 1) * (2 * RADIUS_Y + 1) - 1
 NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # what unrelated pixels cost on average
 
-_ONE = np.uint64(1)
+_ONE, _EIGHT = np.uint8(1), np.uint64(8)
 _ONE_16 = np.uint16(1)
 
 
@@ -39,9 +39,15 @@ def _popcount(_: Any, value: Any) -> Any:
 
 
 @compiled(allocates=False)
-def _add_bit(neighbours: U8, centres: U8, codes: U64) -> None:
+def _add_bit(neighbours: U8, centres: U8, codes: U8) -> None:
     for x in range(codes.size):
-        codes[x] = (codes[x] << _ONE) | np.uint64(neighbours[x] < centres[x])
+        codes[x] = np.uint8(np.uint8(codes[x] << _ONE) | np.uint8(neighbours[x] < centres[x]))
+
+
+@compiled(allocates=False)
+def _add_byte(part: U8, codes: U64) -> None:
+    for x in range(codes.size):
+        codes[x] = (codes[x] << _EIGHT) | np.uint64(part[x])
 
 
 @compiled(numba.void(numba.int64, numba.int64, READ_ONLY_U8, numba.uint64[:, ::1]))
@@ -58,6 +64,7 @@ def census_rows(first: int, last: int, image: U8, codes: U64) -> None:
     """
     height, width = image.shape
     window = np.empty((2 * RADIUS_Y + 1, width + 2 * RADIUS_X), np.uint8)
+    part = np.zeros(width, np.uint8)
     for y in range(first, last):
         for j in range(2 * RADIUS_Y + 1):
             row = image[min(max(y + j - RADIUS_Y, 0), height - 1)]
@@ -66,10 +73,15 @@ def census_rows(first: int, last: int, image: U8, codes: U64) -> None:
             window[j, -RADIUS_X:] = row[width - 1]
         codes[y] = 0
         centres = window[RADIUS_Y, RADIUS_X : RADIUS_X + width]
+        bits = 0
         for j in range(2 * RADIUS_Y + 1):
             for i in range(2 * RADIUS_X + 1):
                 if i != RADIUS_X or j != RADIUS_Y:
-                    _add_bit(window[j, i : i + width], centres, codes[y])
+                    _add_bit(window[j, i : i + width], centres, part)
+                    bits += 1
+                    if bits % 8 == CENSUS_BITS % 8:  # eight at a time, in bytes: eight times as many pixels at once
+                        _add_byte(part, codes[y])
+                        part[:] = 0
 
 
 @compiled(allocates=False)

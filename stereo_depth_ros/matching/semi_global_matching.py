@@ -29,7 +29,7 @@ __all__ = ["SemiGlobalMatcher"]
 
 EDGE_GREY_LEVELS = 6.0  # at this difference of neighbours P2 is halved
 UNIQUENESS_SHARE = 1 / 3  # of uniqueness_ratio: sums over paths differ less than the window sums that it is made for
-STRIP_BYTES = 6 << 20  # of costs; smaller ones stay in the cache, larger ones have less approach
+STRIP_BYTES = 24 << 20  # of costs; smaller ones stay in the cache, larger ones have less approach
 APPROACH_ROWS = 16
 APPROACH_BYTES = 64 << 20  # of costs; searches of thousands of disparities approach their strips over fewer rows
 _NAN = np.float32(np.nan)

@@ -1,0 +1,382 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Accuracy and speed of the real-time matchers beside OpenCV's, on real scenes with truth.
+
+python benchmarks/matching.py
+python benchmarks/matching.py --data ~/stereo --scenes cones Art --parts accuracy locking
+python benchmarks/matching.py --parts speed limit --rounds 30 --json matching.json
+
+SGBM, 3WAY and BM are bare OpenCV objects, which return 16-bit fixed point. The others are ours with their defaults, but
+`sgbm` has the parameters of SGBM: beside it, and `bm` beside BM, it shows what the Matcher protocol adds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.evaluation.evaluator import search_range
+from stereo_depth_ros.evaluation.metrics import disparity_errors
+from stereo_depth_ros.evaluation.scenes import Scene, find_scenes
+from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.matching.semi_global_matching import SemiGlobalMatcher
+from stereo_depth_ros.parallel import compiled, core_count
+from stereo_depth_ros.types import F32, U8
+
+Call: TypeAlias = Callable[[U8, U8], npt.NDArray[Any]]  # float32 px with NaN, or OpenCV's int16 in 1/16 px
+Row: TypeAlias = dict[str, Any]
+
+TUNED_ON = ("venus", "cones", "Art", "Aloe", "Bowling1", "Motorcycle_quarter")
+SUBPIXEL_SCENES = ("Motorcycle_quarter", "terrace")  # their truth is not rounded
+SPEED_SCENE = "Motorcycle_quarter"  # its 60 px of disparity become 52 px and 103 px
+SIZES = ((640, 480, 64), (1280, 720, 128))
+FIGURES = ("density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg_px")
+BINS = 10
+REQUIRED = {  # bounds of the figures in requirements
+    "bad_2 ratio": (0.0, 0.5),
+    "bad_1 ratio": (0.0, 0.7),
+    "density points": (3.0, 100.0),
+    "dense density": (1.0, 1.0),
+    "dense bad_2_all ratio": (0.0, 0.36),
+}
+LARGEST_TIME_RATIO = 0.6  # of sgm to SGBM on two cores
+
+
+def _ours(name: str, **fields: Any) -> Callable[[MatchingConfig], Call]:
+    def make(search: MatchingConfig) -> Call:
+        matcher = create_matcher(name, search, **fields)
+        return lambda left, right: matcher.match(left, right).disparity_px
+
+    return make
+
+
+def _opencv_sgbm(mode: int) -> Callable[[MatchingConfig], Call]:
+    def make(search: MatchingConfig) -> Call:
+        first, count = search.min_disparity, search.num_disparities
+        call: Call = cv2.StereoSGBM.create(first, count, 3, 72, 288, 1, 31, 10, 100, 2, mode).compute
+        return call
+
+    return make
+
+
+def _opencv_bm(search: MatchingConfig) -> Call:
+    bm = cv2.StereoBM.create(search.num_disparities, search.correlation_window_size)
+    bm.setMinDisparity(search.min_disparity)
+    bm.setPreFilterCap(search.prefilter_cap)
+    bm.setTextureThreshold(search.texture_threshold)
+    bm.setUniquenessRatio(round(search.uniqueness_ratio))
+    bm.setSpeckleWindowSize(search.speckle_size)
+    bm.setSpeckleRange(search.speckle_range)
+    call: Call = bm.compute
+    return call
+
+
+_AS_SGBM = {"correlation_window_size": 3, "P1": 72.0, "P2": 288.0, "disp12_max_diff": 1, "uniqueness_ratio": 10.0}
+METHODS: dict[str, Callable[[MatchingConfig], Call]] = {
+    "sgm": _ours("sgm"),
+    "sgm dense": _ours("sgm", fill_holes=True),
+    "sgm 8 paths": _ours("sgm", sgm_paths=8),
+    "SGBM": _opencv_sgbm(cv2.STEREO_SGBM_MODE_SGBM),
+    "sgbm": _ours("sgbm", **_AS_SGBM, speckle_range=2),
+    "3WAY": _opencv_sgbm(cv2.STEREO_SGBM_MODE_SGBM_3WAY),
+    "bm": _ours("bm"),
+    "BM": _opencv_bm,
+}
+COMPARED = ("sgm", "sgm dense", "sgm 8 paths", "SGBM", "3WAY", "bm")  # the others equal one of these
+
+
+def disparities(call: Call, left: U8, right: U8, search: MatchingConfig) -> F32:
+    """What the method returns as float32 px, NaN where invalid."""
+    found = call(left, right)
+    if found.dtype == np.float32:
+        return found
+    return np.where(found >= 16 * search.min_disparity, found.astype(np.float32) / 16, np.float32(np.nan))
+
+
+def timed_ms(calls: dict[str, Call], left: U8, right: U8, rounds: int) -> dict[str, list[float]]:
+    """Milliseconds of every call in every round, after one that warms up; calls alternate and see the same machine."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for name in [*calls] * (rounds + 1):
+        begin = time.perf_counter()
+        calls[name](left, right)
+        times[name].append(1e3 * (time.perf_counter() - begin))
+    return {name: values[1:] for name, values in times.items()}
+
+
+def accuracy(scenes: dict[str, Scene], rounds: int = 5) -> list[Row]:
+    """A row for every scene and compared method."""
+    rows: list[Row] = []
+    for scene, data in scenes.items():
+        search = search_range(MatchingConfig(), data.truth_px)
+        calls = {name: METHODS[name](search) for name in COMPARED}
+        times = timed_ms(calls, data.left, data.right, rounds)
+        for name, call in calls.items():
+            errors = disparity_errors(disparities(call, data.left, data.right, search), data.truth_px)
+            row = {"scene": scene, "disparities": search.num_disparities, "method": name}
+            row |= {figure: getattr(errors, figure) for figure in FIGURES}
+            rows.append(row | {"ms": statistics.median(times[name])})
+    return rows
+
+
+def means(rows: list[Row]) -> dict[str, Row]:
+    """The mean over scenes of every figure, by method."""
+    return {
+        name: {
+            figure: statistics.fmean(row[figure] for row in rows if row["method"] == name)
+            for figure in (*FIGURES, "ms")
+        }
+        for name in COMPARED
+    }
+
+
+def requirements(rows: list[Row]) -> list[Row]:
+    """sgm beside SGBM over all scenes, those used for tuning and the others, and what misses its bound in REQUIRED."""
+    tuned = [row for row in rows if row["scene"] in TUNED_ON]
+    held_out = [row for row in rows if row["scene"] not in TUNED_ON]
+    found: list[Row] = []
+    for group, chosen in (("all", rows), ("tuned on", tuned), ("held out", held_out)):
+        if not chosen:
+            continue
+        mean = means(chosen)
+        sgm, dense, sgbm = mean["sgm"], mean["sgm dense"], mean["SGBM"]
+        row: Row = {"scenes": f"{group} ({len(chosen) // len(COMPARED)})"}
+        row |= {f"{figure} ratio": sgm[figure] / sgbm[figure] for figure in ("bad_2", "bad_1", "bad_0_5", "avg_px")}
+        row |= {"density points": 100 * (sgm["density"] - sgbm["density"]), "dense density": dense["density"]}
+        row |= {"dense bad_2_all ratio": dense["bad_2_all"] / sgbm["bad_2_all"]}
+        missed = [name for name, (low, high) in REQUIRED.items() if not low <= row[name] <= high]
+        found.append(row | {"misses": ", ".join(missed) or "nothing"})
+    return found
+
+
+def locking(scenes: dict[str, Scene]) -> list[Row]:
+    """Histograms of the fractional part of disparities that both methods have right to 1 px, and of their truth.
+
+    Bins are centred on 0, 0.1 ... 0.9. A disparity is spread evenly over its step, or steps of 1/16 would fall unevenly
+    into bins. Distance: the share that would have to move to make it the histogram of the truth.
+    """
+    rows: list[Row] = []
+    for scene in SUBPIXEL_SCENES:
+        if scene not in scenes:
+            continue
+        data, rng = scenes[scene], np.random.default_rng(1)
+        search = search_range(MatchingConfig(), data.truth_px)
+        found = {name: disparities(METHODS[name](search), data.left, data.right, search) for name in ("sgm", "SGBM")}
+        used = np.logical_and.reduce([np.abs(px - data.truth_px) <= 1 for px in found.values()])
+        shares: dict[str, npt.NDArray[np.float64]] = {}
+        for name, step in (("truth", 0.0), ("sgm", 1 / 64), ("SGBM", 1 / 16)):
+            px = found.get(name, data.truth_px)[used] + rng.uniform(-step / 2, step / 2, np.count_nonzero(used))
+            bins = np.rint(px * BINS).astype(int) % BINS
+            shares[name] = 100 * np.bincount(bins, minlength=BINS) / bins.size
+            row = {"scene": scene, "method": name} | {f"{n / BINS:.1f}": shares[name][n] for n in range(BINS)}
+            rows.append(row | {"distance": float(np.abs(shares[name] - shares["truth"]).sum() / 2)})
+    return rows
+
+
+def speed(scene: Scene, rounds: int) -> list[Row]:
+    """Times of all methods on the resized scene, on two cores and on one."""
+    rows: list[Row] = []
+    for cores in (2, 1):
+        for width, height, count in SIZES:
+            left, right = (cv2.resize(eye, (width, height)) for eye in (scene.left, scene.right))
+            times = in_process(cores, _measure, count, left, right, rounds)
+            for name, ms in times.items():
+                row = {"cores": cores, "size": f"{width}x{height}/{count}", "method": name}
+                row |= {"least ms": min(ms), "median ms": statistics.median(ms)}
+                row |= {"ratio of least": min(ms) / min(times["SGBM"])}
+                row |= {"ratio of medians": statistics.median(ms) / statistics.median(times["SGBM"])}
+                required = name == "sgm" and cores == 2
+                rows.append(row | {"holds": row["ratio of medians"] <= LARGEST_TIME_RATIO if required else None})
+    return rows
+
+
+def _measure(count: int, left: U8, right: U8, rounds: int) -> dict[str, list[float]]:
+    search = MatchingConfig(num_disparities=count)
+    return timed_ms({name: make(search) for name, make in METHODS.items()}, left, right, rounds)
+
+
+def in_process(cores: int, function: Callable[..., Any], *args: Any) -> Any:
+    """The result of ``function`` in a process that may use so many cores, OpenCV's threads included."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, context, initializer=_use_cores, initargs=(cores,)) as pool:
+        return pool.submit(function, *args).result()
+
+
+def _use_cores(cores: int) -> None:
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+    cv2.setNumThreads(core_count())
+
+
+class Stage(NamedTuple):
+    """A step of sgm with 4 paths, for one pixel and disparity.
+
+    ``rows`` it runs over: "costs" of the strip with its approaches on both sides, "path" with that on one, or "once".
+    ``operations`` of a vector register, counted in bytes: an operation on 16-bit lanes is two. ``nearest`` bytes are
+    loaded and stored for one pixel at a time, ``row`` bytes come from or go to buffers of a row, ``strip`` of a strip.
+    """
+
+    name: str
+    rows: str
+    operations: int
+    nearest: int
+    row: int
+    strip: int
+
+
+STAGES = (
+    Stage("Hamming distance", "costs", 24, 8, 1, 0),  # 64-bit exclusive or, population count, narrowing
+    Stage("smoothing along x", "costs", 2, 2, 2, 0),
+    Stage("smoothing along y", "costs", 2, 0, 3, 1),
+    Stage("path from above", "path", 7, 2, 1, 2),  # the path costs before are loaded at three places
+    Stage("path from below", "path", 7, 2, 2, 1),
+    Stage("path from left", "once", 7, 4, 1, 0),
+    Stage("sum", "once", 10, 1, 3, 1),
+    Stage("path from right", "once", 7, 4, 1, 0),
+    Stage("bids", "once", 20, 9, 2, 0),
+    Stage("least and second bid", "once", 16, 12, 0, 0),
+    Stage("bids of right pixels", "once", 4, 12, 0, 0),
+)
+
+
+def limit(scene: Scene, rounds: int) -> list[Row]:
+    """The work of sgm, and what it would take one core at its measured peaks; see :class:`Stage`."""
+    return [in_process(1, _limit, size, scene.left, scene.right, rounds) for size in SIZES]
+
+
+def _limit(size: tuple[int, int, int], left: U8, right: U8, rounds: int) -> Row:
+    width, height, count = size
+    left, right = (cv2.resize(eye, (width, height)) for eye in (left, right))
+    matcher = SemiGlobalMatcher(MatchingConfig(num_disparities=count))
+    ms = min(timed_ms({"sgm": lambda a, b: matcher.match(a, b).disparity_px}, left, right, rounds)["sgm"])
+    strips, approach = matcher._strips, matcher._search.approach_rows
+    one_side = approach * (strips - 1) / height
+    times = {"once": 1.0, "path": 1 + one_side, "costs": 1 + 2 * one_side}
+    work = {part: sum(getattr(s, part) * times[s.rows] for s in STAGES) for part in Stage._fields[2:]}
+    lanes_per_s = peak(_operate, 1 << 13, rounds) * _OPERATIONS
+    strip_bytes = 2 * (height // strips + 2 * approach) * width * count
+    row_rate, strip_rate = (2 * peak(_copy, n // 2, rounds) for n in (4 * width * count, strip_bytes))
+    points = 1e3 * width * height * count
+    compute_ms = work["operations"] * points / lanes_per_s
+    memory_ms = points * (work["row"] / row_rate + work["strip"] / strip_rate)
+    return {
+        "size": f"{width}x{height}/{count}",
+        "rows of a strip": height / strips,
+        "costs computed": times["costs"],
+        "byte operations": work["operations"],
+        "bytes near, row, strip": "{nearest:.0f}, {row:.1f}, {strip:.1f}".format(**work),
+        "peak 10^9/s": f"{lanes_per_s / 1e9:.0f}, row {row_rate / 1e9:.0f} B, strip {strip_rate / 1e9:.0f} B",
+        "computing ms": compute_ms,
+        "memory ms": memory_ms,
+        "best ms": max(compute_ms, memory_ms),
+        "sgm ms": ms,
+        "times best": ms / max(compute_ms, memory_ms),
+    }
+
+
+_OPERATIONS = 16  # of _operate on every byte
+
+
+@compiled("void(int64, uint8[::1], uint8[::1], uint8, uint8)")
+def _operate(repeats: int, a: U8, b: U8, p: np.uint8, q: np.uint8) -> None:
+    for _ in range(repeats):
+        for k in range(a.size):
+            value = a[k]
+            for _ in range(_OPERATIONS // 2):
+                value = max(np.uint8(value + p), q)
+            b[k] = value
+
+
+@compiled("void(int64, uint8[::1], uint8[::1], uint8, uint8)")
+def _copy(repeats: int, a: U8, b: U8, p: np.uint8, q: np.uint8) -> None:
+    for _ in range(repeats):
+        for k in range(a.size):
+            b[k] = np.uint8(a[k] + p)
+
+
+def peak(kernel: Callable[..., None], size: int, rounds: int) -> float:
+    """Bytes of an array of ``size`` that the kernel goes through in a second, at best."""
+    a, b = np.full((2, size), 1, np.uint8)  # not zeros: unwritten pages of zeros are one page
+    repeats = max((1 << 26) // size, 1)
+    least = float("inf")
+    for _ in range(rounds):
+        begin = time.perf_counter()
+        kernel(repeats, a, b, np.uint8(1), np.uint8(2))
+        least = min(least, time.perf_counter() - begin)
+    return repeats * size / least
+
+
+def table(title: str, rows: Sequence[Row]) -> None:
+    """Prints rows of one set of keys as Markdown."""
+    if not rows:
+        return
+    print(f"\n{title}\n\n| {' | '.join(rows[0])} |\n|{' --- |' * len(rows[0])}")
+    for row in rows:
+        print(f"| {' | '.join(_cell(value) for value in row.values())} |", flush=True)
+
+
+def _cell(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return {None: "", True: "yes", False: "NO"}[value]
+    if isinstance(value, float):
+        size = abs(value)
+        return f"{value:.{0 if size >= 100 else 1 if size >= 10 else 2 if size >= 1 else 3}f}"
+    return str(value)
+
+
+def load_scenes(folder: Path, names: Sequence[str]) -> dict[str, Scene]:
+    """The scenes with truth of a folder, or those of them that are named."""
+    sources = {source.name: source for source in find_scenes(folder)}
+    if unknown := set(names) - set(sources):
+        raise SystemExit(f"no scene {', '.join(sorted(unknown))} in {folder}: there are {', '.join(sources)}")
+    return {name: sources[name].load() for name in names or sources}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    default = os.environ.get("STEREO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
+    parser.add_argument("--data", type=Path, default=Path(default), help="folder of scenes with truth")
+    parser.add_argument("--scenes", nargs="+", default=[], help="names of scenes, all when not given")
+    parts = ("accuracy", "locking", "speed", "limit")
+    parser.add_argument("--parts", nargs="+", default=parts, choices=parts)
+    parser.add_argument("--rounds", type=int, default=15, help="timed rounds of speed and limit")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all rows there as well")
+    options = parser.parse_args()
+    scenes = load_scenes(options.data, options.scenes)
+    print(f"OpenCV {cv2.__version__}, {core_count()} cores")
+    found: dict[str, list[Row]] = {}
+    if "accuracy" in options.parts:
+        found["accuracy"] = rows = accuracy(scenes)
+        found["means"] = [{"method": name} | mean for name, mean in means(rows).items()]
+        found["requirements"] = requirements(rows)
+        table("Accuracy; bad in percent, avg in px, ms on all cores", rows)
+        table("Means over the scenes", found["means"])
+        table("sgm against SGBM", found["requirements"])
+    if "locking" in options.parts:
+        found["locking"] = locking(scenes)
+        table("Fractional parts of disparities, percent", found["locking"])
+    if {"speed", "limit"} & {*options.parts}:
+        scene = load_scenes(options.data, [SPEED_SCENE])[SPEED_SCENE]
+    if "speed" in options.parts:
+        found["speed"] = speed(scene, options.rounds)
+        table(f"Speed on {SPEED_SCENE}, resized; ratios to SGBM", found["speed"])
+    if "limit" in options.parts:
+        found["limit"] = limit(scene, options.rounds)
+        table("sgm on one core beside the limits of the machine, per pixel and disparity", found["limit"])
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
