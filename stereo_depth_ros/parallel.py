@@ -31,8 +31,8 @@ def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], 
     Args:
         signatures: of numba.
         allocates: False for functions that make no arrays: then views of arrays are not counted, which would be atomic
-            operations across threads, and cost nothing even for every pixel. Such helpers are always inlined; others are
-            left to LLVM, which does better with long ones.
+            operations across threads, and cost nothing even for every pixel. Such helpers are always inlined; the
+            others are left to LLVM, which does better with long ones.
     """
 
     def decorate(function: FunctionT) -> FunctionT:
