@@ -230,13 +230,22 @@ class MatchingConfig(_Checked):
         False, "Gives every pixel a disparity, holes that of the farther surface beside them; sgm, scanline."
     )
     window_cost: str = _parameter(
-        "sad", "Dissimilarity of two windows; window.", choices=("sad", "ssd", "zsad", "zssd", "ncc", "zncc")
+        "sad",
+        "Dissimilarity of two windows; window, adaptive_window.",
+        choices=("sad", "ssd", "zsad", "zssd", "ncc", "zncc"),
     )
     max_difference: int = _parameter(
-        0, "Bound on the difference of two pixels, against outliers in a window; 0 is none; window.", low=0, high=255
+        0,
+        "Bound on the difference of two pixels, against outliers in a window; 0 is none; window, adaptive_window.",
+        low=0,
+        high=255,
     )
     vertical_search: int = _parameter(
-        0, "Rows searched above and below, for pairs that are not quite rectified; window.", low=0, high=16, unit="px"
+        0,
+        "Rows searched above and below, for pairs that are not quite rectified; window, adaptive_window.",
+        low=0,
+        high=16,
+        unit="px",
     )
     diffusion_model: str = _parameter(
         "bayesian", "How support is gathered; diffusion.", choices=("bayesian", "membrane")
