@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from mmap import PAGESIZE
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numba import float32, float64, int16, int64, uint8, uint16, uint32, uint64
+from numpy.typing import DTypeLike
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.matching.census import U64, cost_rows
@@ -34,6 +37,7 @@ STEPS_PER_PX = 64
 SPECKLE_STEPS_PER_PX = 8  # 4096 disparities fit in 16 bits
 _BORDER, _UNIQUENESS = np.uint8(Reason.BORDER), np.uint8(Reason.UNIQUENESS)
 _INDEX, _TOTAL = np.uint32(0xFFFF), np.uint32(16)
+_APART = 2  # buffers of one pixel are written all the time: those of two bands must not share a cache line
 
 
 class Search(NamedTuple):
@@ -78,19 +82,29 @@ class Scratch(NamedTuple):
         directions = 1 if config.sgm_paths == 4 else 3
         never = LARGEST_PATH_COST - config.sgm_P1
         return cls(
-            raw=np.empty((bands, width + 2, count), np.uint8),
-            smooth=np.empty((bands, 3, width, count), np.uint8),
-            cost=np.empty((bands, rows, width, count), np.uint8),
-            down=np.full((bands, directions, rows, width, count + 2), never, np.uint8),
-            up=np.full((bands, directions, 2, width, count + 2), never, np.uint8),
-            along=np.full((bands, 2, count + 2), never, np.uint8),
-            least_down=np.empty((bands, directions, 2, width), np.uint8),
-            least_up=np.empty((bands, directions, 2, width), np.uint8),
-            totals=np.empty((bands, width, count), np.uint16),
-            bids=np.empty((bands, count), np.uint32),
-            right_bids=np.empty((bands, width + count), np.uint32),
-            best=np.empty((bands, width), np.uint16),
+            raw=_on_pages((bands, width + 2, count), np.uint8),
+            smooth=_on_pages((bands, 3, width, count), np.uint8),
+            cost=_on_pages((bands, rows, width, count), np.uint8),
+            down=_on_pages((bands, directions, rows, width, count + 2), np.uint8, never),
+            up=_on_pages((bands, directions, 2, width, count + 2), np.uint8, never),
+            along=_on_pages((_APART * bands, 2, count + 2), np.uint8, never),
+            least_down=_on_pages((bands, directions, 2, width), np.uint8),
+            least_up=_on_pages((bands, directions, 2, width), np.uint8),
+            totals=_on_pages((bands, width, count), np.uint16),
+            bids=_on_pages((_APART * bands, count), np.uint32),
+            right_bids=_on_pages((bands, width + count), np.uint32),
+            best=_on_pages((bands, width), np.uint16),
         )
+
+
+def _on_pages(shape: tuple[int, ...], dtype: DTypeLike, fill: int = 0) -> Any:
+    """An array that begins where a page of memory does, so that vectors of its rows lie in few cache lines."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    memory = np.empty(size + PAGESIZE, np.uint8)
+    begin = -memory.ctypes.data % PAGESIZE
+    array = memory[begin : begin + size].view(dtype).reshape(shape)
+    array[...] = fill
+    return array
 
 
 class Output(NamedTuple):
@@ -248,11 +262,11 @@ def match_bands(
             scratch.cost[band],
             scratch.down[band],
             scratch.up[band],
-            scratch.along[band],
+            scratch.along[_APART * band],
             scratch.least_down[band],
             scratch.least_up[band],
             scratch.totals[band],
-            scratch.bids[band],
+            scratch.bids[_APART * band],
             scratch.right_bids[band],
             scratch.best[band],
         )
