@@ -1,14 +1,18 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Confidence from neighbours that agree, against counting one by one."""
+"""Confidence from neighbours that agree, against counting one by one, and what confidences are worth."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import middlebury2001
 import numpy as np
 import pytest
 
 from stereo_depth_ros import parallel
-from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.evaluation.sparsification import sparsification
+from stereo_depth_ros.matching import MATCHERS, create_matcher
 from stereo_depth_ros.matching.agreement import agreement
 from stereo_depth_ros.types import F32
 
@@ -36,10 +40,12 @@ def test_agreement_is_the_share_of_like_neighbours(shape: tuple[int, int], monke
     for cores in (1, 3):
         monkeypatch.setattr(parallel, "core_count", lambda cores=cores: cores)
         np.testing.assert_allclose(agreement(disparity_px), counted(disparity_px), atol=1e-6)
+    lead = rng.random(shape, np.float32)
+    np.testing.assert_allclose(agreement(disparity_px, lead), counted(disparity_px) * lead, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["bm", "sgbm"])
-def test_methods_without_costs_have_it(name: str) -> None:
+@pytest.mark.parametrize("name", ["bm", "sgbm", "window", "adaptive_window", "diffusion"])
+def test_it_is_the_confidence_of_methods_without_another(name: str) -> None:
     rng = np.random.default_rng(2)
     wide = rng.integers(0, 256, (90, 200), dtype=np.uint8)
     left, right = np.ascontiguousarray(wide[:, :160]), np.ascontiguousarray(wide[:, 8:168])
@@ -50,3 +56,16 @@ def test_methods_without_costs_have_it(name: str) -> None:
     np.testing.assert_array_equal(result.confidence, agreement(result.disparity_px))
     assert not result.confidence[result.reasons != 0].any()
     assert result.confidence is result.confidence, "computed once"
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("scene", ["tsukuba", "venus"])
+@pytest.mark.parametrize("name", [name for name in MATCHERS if name not in ("features", "onnx")])
+def test_confidence_of_every_dense_method_knows_what_is_wrong(name: str, scene: str, stereo_data: Path) -> None:
+    of = middlebury2001.scene(scene, stereo_data)
+    found = create_matcher(name, num_disparities=32).match(of.left, of.right)
+    known = np.isfinite(found.disparity_px) & np.isfinite(of.truth_px)
+    assert found.confidence is not None
+    wrong = np.where(np.abs(found.disparity_px - of.truth_px)[known] > 1, 100.0, 0.0)
+    curve = sparsification(found.confidence[known], wrong)
+    assert curve is not None and 0 < curve.area <= 0.5 * curve.random_area

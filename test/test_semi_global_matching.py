@@ -18,6 +18,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError, ImageError
 from stereo_depth_ros.io.datasets.middlebury_scene import MiddleburyScene
 from stereo_depth_ros.matching import create_matcher, semi_global_matching
+from stereo_depth_ros.matching.agreement import agreement
 from stereo_depth_ros.matching.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.hole_filling import fill_holes
 from stereo_depth_ros.matching.semi_global_matching import SemiGlobalMatcher
@@ -47,7 +48,7 @@ def patches(height: int, width: int, low: int, high: int, seed: int = 0) -> tupl
 
 
 def whole_image(left: U8, right: U8, config: MatchingConfig) -> tuple[F32, U8, F32]:
-    """Disparities, reasons and confidence of the definition, over the image in one piece, without a speckle filter."""
+    """Disparities, reasons and leads of the definition, over the image in one piece, without a speckle filter."""
     height, width = left.shape
     count, top = config.num_disparities, config.max_disparity
     cost = costs_by_definition(census_by_definition(left), census_by_definition(right), top, count)
@@ -58,7 +59,7 @@ def whole_image(left: U8, right: U8, config: MatchingConfig) -> tuple[F32, U8, F
     seen = (right_x >= 0) & (right_x < width)
     disparity_px = np.full(left.shape, np.nan, np.float32)
     reasons = np.full(left.shape, Reason.BORDER, np.uint8)
-    confidence = np.zeros(left.shape, np.float32)
+    leads = np.zeros(left.shape, np.float32)
     for y in range(height):
         prefers = preferred_by_right_pixels(sums[y], right_x, seen)
         for x in np.flatnonzero(seen.any(axis=1)):
@@ -68,8 +69,8 @@ def whole_image(left: U8, right: U8, config: MatchingConfig) -> tuple[F32, U8, F
             elif abs(prefers[right_x[x, k]] - k) > max(config.disp12_max_diff, 1):
                 reasons[y, x] = Reason.LEFT_RIGHT
             else:
-                reasons[y, x], disparity_px[y, x], confidence[y, x] = 0, disparity, lead
-    return disparity_px, reasons, confidence
+                reasons[y, x], disparity_px[y, x], leads[y, x] = 0, disparity, lead
+    return disparity_px, reasons, leads
 
 
 def winner(sums: I64, seen: np.ndarray, top: int) -> tuple[int, float, np.float32]:
@@ -137,10 +138,10 @@ def test_result_is_that_of_the_definition(shape: tuple[int, int], fields: dict[s
     left, right = patches(*shape, max(config.min_disparity, -25), min(config.max_disparity, 25))
     result = sgm.match(left, right)
     check(result, shape)
-    disparity_px, reasons, confidence = whole_image(left, right, config)
+    disparity_px, reasons, leads = whole_image(left, right, config)
     np.testing.assert_array_equal(result.reasons, reasons)
     np.testing.assert_array_equal(result.disparity_px, disparity_px)
-    np.testing.assert_array_equal(result.confidence, confidence)
+    np.testing.assert_array_equal(result.confidence, agreement(disparity_px, leads))
     if shape[0] > 10 and shape[1] > 60:
         assert (reasons == 0).mean() > 0.2 and (reasons == Reason.LEFT_RIGHT).any()
         assert (reasons == Reason.UNIQUENESS).any() or not config.uniqueness_ratio
@@ -303,9 +304,11 @@ def test_dense_mode_fills_every_pixel(kind: str) -> None:
     dense = matcher(num_disparities=32, fill_holes=True, disparity_filter=kind).match(left, right)
     check(dense, (60, 110))
     assert (dense.reasons == 0).all() and not (sparse.reasons == 0).all()
+    holes = sparse.reasons != 0
     DisparityFilter(kind, 1 / 64)(sparse.disparity_px)
     fill_holes(sparse.disparity_px, sparse.reasons)
-    check_equal(dense, sparse)  # confidence too: 0 where filled
+    np.testing.assert_array_equal(dense.disparity_px, sparse.disparity_px)
+    assert dense.confidence is not None and (dense.confidence[holes] == 0).all() and dense.confidence.mean() > 0.1
 
 
 @pytest.mark.parametrize("kind", ["mean", "median"])

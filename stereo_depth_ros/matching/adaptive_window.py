@@ -53,7 +53,7 @@ class AdaptiveWindowMatcher:
 
     ``window_cost``, ``max_difference``, ``correlation_window_size``, ``vertical_search`` and the checks for uniqueness
     and left and right are those of the window matcher, and tell which pixels are rejected; the rows of refined windows
-    are not shifted. Confidence is that of the window matcher.
+    are not shifted.
     """
 
     name = "adaptive_window"
@@ -73,8 +73,7 @@ class AdaptiveWindowMatcher:
         disparity_px = disparity_buffer(out, left.shape)
         initial, checked = self._initial.match(left, right), self._checked.match(left, right)
         fixed = self._refine(left, right, initial)
-        assert checked.confidence is not None
-        return finish(fixed, checked.reasons, checked.confidence, self.config, self.step_px, disparity_px)
+        return finish(fixed, checked.reasons, self.config, self.step_px, disparity_px)
 
     def _refine(self, left: U8, right: U8, initial: MatchResult) -> I16:
         """Disparities in 1/16 px after all iterations, 0 where the initial ones are invalid."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Confidence from the disparities alone: how many of those around a pixel agree with its own."""
+"""Confidence from the disparities: how many of those around a pixel agree with its own."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ TOLERANCE_PX = 1.0
 SAMPLES = (2 * RADIUS // STRIDE + 1) ** 2 - 1
 
 
-def agreement(disparity_px: F32) -> F32:
+def agreement(disparity_px: F32, lead: F32 | None = None) -> F32:
     """Share of the pixels around, in a grid of 7 x 7 over 19 x 19 pixels, that differ by at most 1 px.
 
-    For methods that do not tell their costs. Wrong matches are rarely many of one kind in one place. Holes and pixels
-    outside the image do not agree.
+    Wrong matches are rarely many of one kind in one place: that tells more than how much better a window's cost is than
+    its second best. Holes and pixels outside the image do not agree.
 
     Args:
         disparity_px: float32 (H, W), NaN where invalid.
+        lead: float32 (H, W), in [0, 1], what a method knows besides of its costs; the share is multiplied by it.
 
     Returns:
         float32 (H, W) in [0, 1], 0 where invalid.
     """
     confidence = np.empty_like(disparity_px)
     run_bands(_agreement_rows, len(disparity_px), disparity_px, confidence)
+    if lead is not None:
+        confidence *= lead
     return confidence
 
 

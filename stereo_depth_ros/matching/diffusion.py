@@ -73,10 +73,9 @@ class DiffusionMatcher:
         energies = self._bayesian_energies(data) if bayesian else self._membrane_energies(data)
         fixed = np.zeros(left.shape, np.int16)
         reasons = np.empty(left.shape, np.uint8)
-        confidence = np.empty(left.shape, np.float32)
         checks = (config.uniqueness_ratio, config.disp12_max_diff)
-        run_bands(_select_rows, rows, energies, config.max_disparity, *checks, fixed, reasons, confidence)
-        return finish(fixed, reasons, confidence, config, self.step_px, disparity_px)
+        run_bands(_select_rows, rows, energies, config.max_disparity, *checks, fixed, reasons)
+        return finish(fixed, reasons, config, self.step_px, disparity_px)
 
     def _bayesian_energies(self, data: F32) -> F32:
         beside = math.exp(-1 / (2 * STEP_SIGMA_PX**2))
@@ -179,9 +178,7 @@ def _membrane_rows(first: int, last: int, data: F32, energies: F32, moved: F32) 
                 moved[y, x, k] = here + flow if here < np.inf else here
 
 
-@compiled(
-    "void(int64, int64, float32[:, :, ::1], int64, float64, int64, int16[:, ::1], uint8[:, ::1], float32[:, ::1])"
-)
+@compiled("void(int64, int64, float32[:, :, ::1], int64, float64, int64, int16[:, ::1], uint8[:, ::1])")
 def _select_rows(
     first: int,
     last: int,
@@ -191,7 +188,6 @@ def _select_rows(
     tolerance: int,
     fixed: I16,
     reasons: U8,
-    confidence: F32,
 ) -> None:
     for y in range(first, last):
-        select_row(y, energies[y], max_disparity, True, uniqueness, tolerance, fixed, reasons, confidence)
+        select_row(y, energies[y], max_disparity, True, uniqueness, tolerance, fixed, reasons)

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.matching.agreement import agreement
 from stereo_depth_ros.matching.protocol import FIXED_STEPS
 from stereo_depth_ros.matching.refinement import I16, SpeckleFilter, disparity_from_fixed
 from stereo_depth_ros.parallel import compiled, run_bands
@@ -35,12 +37,11 @@ def select_row(
     tolerance: int,
     fixed: I16,
     reasons: U8,
-    confidence: F32,
 ) -> None:
     """Least cost of every pixel of row ``y``, or the reason against it; for kernels.
 
     Args:
-        y: row that is written of the three arrays at the end.
+        y: row that is written of the two arrays at the end.
         costs: float32 (W, D), not negative, inf where a hypothesis cannot be judged. Index k is disparity
             ``max_disparity`` - k; of equal costs the largest disparity wins.
         parabola: sub-pixel fit of a parabola (squares, correlations), else of two equal slopes (absolute differences).
@@ -48,7 +49,6 @@ def select_row(
         tolerance: of the left-right check, px; 0 is no check.
         fixed: int16 (H, W), disparity in 1/16 px where valid.
         reasons: uint8 (H, W): BORDER without a hypothesis in the right image, TEXTURE where none can be judged.
-        confidence: float32 (H, W), 1 - winner / best of the others, 0 where there are no others.
     """
     width, count = costs.shape
     for x in range(width):
@@ -56,7 +56,6 @@ def select_row(
         for k in range(count):
             if costs[x, k] < best:
                 best, index = costs[x, k], k
-        confidence[y, x] = 0
         if index < 0:
             inside = x >= max_disparity - count + 1 and x - max_disparity < width
             reasons[y, x] = TEXTURE if inside else BORDER
@@ -65,8 +64,6 @@ def select_row(
         for k in range(count):
             if costs[x, k] < second and abs(k - index) > 1:
                 second = costs[x, k]
-        if 0 < second < np.inf:
-            confidence[y, x] = 1 - best / second
         fixed[y, x] = (max_disparity - index) * FIXED_STEPS + _offset(costs, x, index, parabola)
         rejected = uniqueness > 0 and second <= best * (1 + uniqueness / 100)
         reasons[y, x] = UNIQUENESS if rejected else 0
@@ -155,9 +152,12 @@ def _median_rows(
             filtered[y, x] = median + low
 
 
-def finish(fixed: I16, reasons: U8, confidence: F32, config: MatchingConfig, step_px: float, out: F32) -> MatchResult:
-    """Speckles out (``speckle_range`` in px), disparities to pixels, and no confidence where there is no disparity."""
+def finish(
+    fixed: I16, reasons: U8, config: MatchingConfig, step_px: float, out: F32, lead: F32 | None = None
+) -> MatchResult:
+    """Speckles out (``speckle_range`` in px), disparities to pixels; the confidence is their :func:`agreement`."""
     SpeckleFilter(config.speckle_size, config.speckle_range * FIXED_STEPS)(fixed, reasons)
     disparity_from_fixed(fixed, reasons, out)
-    confidence[reasons != 0] = 0
-    return MatchResult(out, reasons, step_px, confidence)
+    if lead is not None:
+        lead[reasons != 0] = 0  # also where holes will be filled
+    return MatchResult(out, reasons, step_px, functools.partial(agreement, out, lead))

@@ -31,7 +31,7 @@ class LabellingMatcher(ABC):
     towards it, since the least of a truncated cost that ignores sampling is flat. ``disp12_max_diff`` above 0 labels
     the right image as well (the mirrored pair), and marks the pixels with which it disagrees; this doubles the time.
     ``uniqueness_ratio`` has no effect, a pixel's own costs do not decide. ``speckle_range`` is in px. The confidence
-    is :func:`lead`, over windows of ``correlation_window_size``.
+    is :func:`lead`, over windows of ``correlation_window_size``, times the share of disparities around that agree.
     """
 
     name: str
@@ -59,17 +59,17 @@ class LabellingMatcher(ABC):
         columns = searched_columns(config, left.shape[1])
         fixed = np.zeros(left.shape, np.int16)
         reasons = np.full(left.shape, Reason.BORDER, np.uint8)
-        confidence = np.zeros(left.shape, np.float32)
+        leads = np.zeros(left.shape, np.float32)
         # The right image first: what a method tells of its last run is of the left one.
         right_labels = self._right_labels(left, right) if config.disp12_max_diff > 0 else None
         model = stereo_model(left, right, config)
         labels = self._label(model)
         reasons[:, columns] = np.where(labels == NO_LABEL, np.uint8(Reason.NO_MATCH), np.uint8(0))
         fixed[:, columns] = (labels + config.min_disparity) * FIXED_STEPS
-        confidence[:, columns] = lead(model, labels, config.correlation_window_size)
+        leads[:, columns] = lead(model, labels, config.correlation_window_size)
         if right_labels is not None:
             _check_right(fixed, reasons, right_labels, config)
-        return finish(fixed, reasons, confidence, config, self.step_px, disparity_px)
+        return finish(fixed, reasons, config, self.step_px, disparity_px, leads)
 
     def _right_labels(self, left: U8, right: U8) -> I32:
         """Labels of the right image, int32 (H, W), ``NO_LABEL`` where it has none."""

@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.matching.agreement import agreement
 from stereo_depth_ros.matching.census import CENSUS_BITS, U64, census_rows
 from stereo_depth_ros.matching.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.hole_filling import fill_holes
@@ -48,8 +51,9 @@ class SemiGlobalMatcher:
     in the cache (as the stripes of Spangenberg et al. 2014). Their heights follow from the image size and the search
     alone, so that the result does not depend on the number of cores.
 
-    The confidence is the lead over the second best sum that is at least 2 px away, (second - best) / second; the lead
-    must be a third of ``uniqueness_ratio`` percent. It is 0 where the right image shows no second. With ``fill_holes``
+    A winner leads the best sum that is at least 2 px away by (second - best) / second, which must be a third of
+    ``uniqueness_ratio`` percent; it is 0 where the right image shows no second. The confidence is this lead times the
+    share of disparities around that agree, computed when it is asked for. With ``fill_holes``
     every pixel has a disparity; those filled have confidence 0.
     """
 
@@ -79,22 +83,22 @@ class SemiGlobalMatcher:
         check_pair(left, right, self.config, partial=True)
         disparity_px = disparity_buffer(out, left.shape)
         reasons = np.empty(left.shape, np.uint8)
-        confidence = np.empty(left.shape, np.float32)
+        lead = np.empty(left.shape, np.float32)
         if self._census.shape[1:] != left.shape:
             self._allocate(*left.shape)
         left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         run_bands(census_rows, len(left), left, self._census[0])
         run_bands(census_rows, len(left), right, self._census[1])
-        output = Output(disparity_px, self._coarse, reasons, confidence)
+        output = Output(disparity_px, self._coarse, reasons, lead)
         bands = len(self._scratch.raw)
         given = (left, self._census, self._search)
         run_bands(match_bands, bands, bands, self._strips, *given, self._scratch, output, min_rows=1)
         self._speckle_filter(self._coarse, reasons)
-        run_bands(_reject_rows, len(left), reasons, disparity_px, confidence)
+        run_bands(_reject_rows, len(left), reasons, disparity_px, lead)
         self._disparity_filter(disparity_px)
         if self.config.fill_holes:
             fill_holes(disparity_px, reasons)
-        return MatchResult(disparity_px, reasons, self.step_px, confidence)
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px, lead))
 
     def _allocate(self, height: int, width: int) -> None:
         count = self.config.num_disparities
@@ -118,9 +122,9 @@ def _check_penalties(config: MatchingConfig) -> None:
 
 
 @compiled("void(int64, int64, uint8[:, ::1], float32[:, ::1], float32[:, ::1])")
-def _reject_rows(first: int, last: int, reasons: U8, disparity_px: F32, confidence: F32) -> None:
+def _reject_rows(first: int, last: int, reasons: U8, disparity_px: F32, lead: F32) -> None:
     for y in range(first, last):
         for x in range(reasons.shape[1]):
             if reasons[y, x]:
                 disparity_px[y, x] = _NAN
-                confidence[y, x] = 0
+                lead[y, x] = 0

@@ -108,12 +108,12 @@ def _on_pages(shape: tuple[int, ...], dtype: DTypeLike, fill: int = 0) -> Any:
 
 
 class Output(NamedTuple):
-    """Disparities (px, unfiltered), the same in coarse steps for the speckle filter, reasons and confidence, (H, W)."""
+    """Disparities (px, unfiltered), the same in coarse steps for the speckle filter, reasons and lead, (H, W)."""
 
     disparity_px: F32
     coarse: I16
     reasons: U8
-    confidence: F32
+    lead: F32
 
 
 @compiled(allocates=False)
@@ -166,7 +166,7 @@ def _take_winner(bids: U32, x: int, y: int, search: Search, best: U16, output: O
     best[x] = at
     output.disparity_px[y, x] = search.max_disparity - index
     output.coarse[y, x] = np.int16((bids.size - 1 - index) * SPECKLE_STEPS_PER_PX)
-    output.confidence[y, x] = lead
+    output.lead[y, x] = lead
     output.reasons[y, x] = _UNIQUENESS if lead < search.uniqueness else 0
 
 

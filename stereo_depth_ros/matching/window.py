@@ -66,17 +66,16 @@ class WindowMatcher:
         disparity_px = disparity_buffer(out, left.shape)
         fixed = np.zeros(left.shape, np.int16)
         reasons = np.empty(left.shape, np.uint8)
-        confidence = np.empty(left.shape, np.float32)
         side = config.correlation_window_size
         images = (np.ascontiguousarray(left), np.ascontiguousarray(right))
         search = (side // 2, config.vertical_search, config.min_disparity, config.num_disparities)
         checks = (config.uniqueness_ratio, config.disp12_max_diff)
         cost = (COSTS.index(config.window_cost), config.max_difference or NO_BOUND)
-        values = (*images, *cost, *search, *checks, fixed, reasons, confidence)
+        values = (*images, *cost, *search, *checks, fixed, reasons)
         # Every band begins by summing a whole window height.
         run_bands(_match_rows, left.shape[0], *values, min_rows=max(64, 2 * side))
         fixed = median_filter(fixed, reasons, side)
-        return finish(fixed, reasons, confidence, config, self.step_px, disparity_px)
+        return finish(fixed, reasons, config, self.step_px, disparity_px)
 
 
 @compiled()
@@ -171,7 +170,7 @@ def _zsad_row(
 @compiled(
     numba.void(
         *(numba.int64, numba.int64, READ_ONLY_U8, READ_ONLY_U8, *(numba.int64,) * 6, numba.float64, numba.int64),
-        *(numba.int16[:, ::1], numba.uint8[:, ::1], numba.float32[:, ::1]),
+        *(numba.int16[:, ::1], numba.uint8[:, ::1]),
     )
 )
 def _match_rows(
@@ -189,7 +188,6 @@ def _match_rows(
     tolerance: int,
     fixed: I16,
     reasons: U8,
-    confidence: F32,
 ) -> None:
     """Disparities of a band of rows, or the reason against them; sums are integers, so that no order changes them."""
     height, width = left.shape
@@ -219,4 +217,4 @@ def _match_rows(
             else:
                 _cost_row(pairs[v], prefix, kind, rows[v], half, max_disparity, costs)
         if y >= first:
-            select_row(y, costs, max_disparity, parabola, uniqueness, tolerance, fixed, reasons, confidence)
+            select_row(y, costs, max_disparity, parabola, uniqueness, tolerance, fixed, reasons)
