@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where the right camera is as the left one sees it, and the essential matrix of the two."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_depth_ros.camera_model import check_rotation
+from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import F64
+
+__all__ = ["RelativePose", "cross_matrix"]
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePose:
+    """X_right = R X_left + t for the coordinates of one point in both cameras (x right, y down, z forward).
+
+    Attributes:
+        R: float64 (3, 3), rotation from the left to the right camera.
+        t: float64 (3,), metres: the left centre in the right camera. Of length 1 where ``up_to_scale``.
+        up_to_scale: pictures alone do not tell how long t is, its direction is all that is known.
+
+    Raises:
+        CalibrationError: R is no rotation, or t is zero or not finite.
+    """
+
+    R: F64
+    t: F64
+    up_to_scale: bool = False
+
+    def __post_init__(self) -> None:
+        R, t = np.array(self.R, np.float64), np.array(self.t, np.float64).ravel()
+        if R.shape != (3, 3) or t.shape != (3,):
+            raise CalibrationError(f"R has shape {R.shape} and t {t.shape}, they take (3, 3) and (3,): write them all")
+        check_rotation(R, "R from the left to the right camera")
+        if not (np.isfinite(t).all() and t.any()):
+            raise CalibrationError(
+                f"t = {t.tolist()} is no baseline, it is finite and not 0: two cameras in one place see no depth"
+            )
+        object.__setattr__(self, "R", R)
+        object.__setattr__(self, "t", t / np.linalg.norm(t) if self.up_to_scale else t)
+
+    @classmethod
+    def from_rig(cls, rig: StereoRig) -> RelativePose:
+        """The pose of the raw cameras, from how R and P of the rig turn and shift them into rectified ones."""
+        baseline_m = np.array([-rig.baseline_m, 0.0, 0.0])
+        return cls(rig.right.R.T @ rig.left.R, rig.right.R.T @ baseline_m)
+
+    @property
+    def right_centre(self) -> F64:
+        """float64 (3,): T = -R^T t, the right centre in the left camera, in the unit of t."""
+        centre: F64 = -self.R.T @ self.t
+        return centre
+
+    @property
+    def essential(self) -> F64:
+        """float64 (3, 3): E = R [T]x = -[t]x R, so that x_right^T E x_left = 0 (Longuet-Higgins 1981)."""
+        E: F64 = self.R @ cross_matrix(self.right_centre)
+        return E
+
+    def rotation_angle_to(self, other: RelativePose) -> float:
+        """Angle between the rotations of the two poses, radians."""
+        difference = self.R.T @ other.R
+        axis = np.array([difference[2, 1] - difference[1, 2], difference[0, 2] - difference[2, 0]])
+        sine = np.hypot(np.linalg.norm(axis), difference[1, 0] - difference[0, 1])
+        return float(np.arctan2(sine, np.trace(difference) - 1))
+
+    def direction_angle_to(self, other: RelativePose) -> float:
+        """Angle between the directions of the two t, radians."""
+        return float(np.arctan2(np.linalg.norm(np.cross(self.t, other.t)), self.t @ other.t))
+
+
+def cross_matrix(v: F64) -> F64:
+    """float64 (3, 3) [v]x of float64 (3,): [v]x w = v x w for every w."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Matches of raw pictures, and where the points would be without distortion."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from two_views import K_LEFT, SIZE
+
+from stereo_depth_ros.camera_model import CameraModel
+from stereo_depth_ros.errors import ImageError
+from stereo_depth_ros.geometry.correspondences import Correspondences, match_features, undistort_points
+from stereo_depth_ros.types import F64, U8
+
+COEFFICIENTS = {
+    "plumb_bob": [-0.28, 0.07, 0.0006, -0.0009, 0.01],
+    "rational_polynomial": [0.4, 0.1, 0.0006, -0.0009, 0.01, 0.7, 0.15, 0.02],
+    "equidistant": [-0.03, 0.01, -0.006, 0.001],
+}
+
+
+def camera(model: str, D: list[float]) -> CameraModel:
+    return CameraModel(*SIZE, model, K_LEFT, np.array(D), np.eye(3), np.eye(3, 4))
+
+
+def texture() -> U8:
+    """Blobs of several sizes that are not alike."""
+    random = np.random.default_rng(5)
+    octaves = [cv2.resize(random.random((240 // k, 320 // k)), (320, 240), interpolation=2) for k in (4, 8, 16)]
+    picture: U8 = cv2.normalize(sum(octaves), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    return picture
+
+
+def mapped(H: F64, points: F64) -> F64:
+    moved: F64 = cv2.perspectiveTransform(points[:, None], H)[:, 0]
+    return moved
+
+
+def test_matches_of_a_picture_and_its_warp() -> None:
+    """A turn, a zoom and a tilt: positions within a fraction of a pixel, without a bias in any direction."""
+    left = texture()
+    H = np.array([[1.05, -0.06, 9.3], [0.08, 1.02, -7.6], [1e-4, -5e-5, 1.0]])
+    right = cv2.warpPerspective(left, H, (300, 260), flags=cv2.INTER_CUBIC)
+    matches = match_features(left, right)
+    error = matches.right_px - mapped(H, matches.left_px)
+    assert len(matches) > 150
+    assert np.median(np.linalg.norm(error, axis=1)) < 0.15
+    assert np.abs(np.median(error, axis=0)).max() < 0.03
+    assert np.mean(np.linalg.norm(error, axis=1) < 2) > 0.97
+
+
+def test_matches_are_in_one_order_and_single() -> None:
+    left = texture()
+    right = np.roll(left, (3, -8), axis=(0, 1))
+    first, second = match_features(left, right), match_features(left, right)
+    np.testing.assert_array_equal(first.left_px, second.left_px)
+    np.testing.assert_array_equal(first.right_px, second.right_px)
+    both = np.hstack((first.left_px, first.right_px))
+    assert len(np.unique(both, axis=0)) == len(both)
+
+
+def test_pictures_without_anything_in_common() -> None:
+    assert len(match_features(np.full((60, 80), 90, np.uint8), texture())) == 0
+
+
+def test_pictures_that_are_not_grey() -> None:
+    grey = texture()
+    with pytest.raises(ImageError, match=r"left picture is float32 of shape \(240, 320\)"):
+        match_features(grey.astype(np.float32), grey)
+    with pytest.raises(ImageError, match=r"right picture is uint8 of shape \(240, 320, 3\).*convert it to grey"):
+        match_features(grey, cv2.merge([grey, grey, grey]))
+
+
+def test_points_of_different_number() -> None:
+    with pytest.raises(ImageError, match=r"\(3, 2\) and \(4, 2\)"):
+        Correspondences(np.zeros((3, 2)), np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("model", COEFFICIENTS)
+def test_undistorted_points_are_those_of_the_pinhole(model: str) -> None:
+    """Rays are projected with and without distortion; the one is turned into the other."""
+    eye = camera(model, COEFFICIENTS[model])
+    rays = np.random.default_rng(1).uniform((-0.75, -0.5), (0.7, 0.5), (200, 2))
+    points = np.column_stack((rays, np.ones(200)))
+    none = np.zeros(3)
+    if model == "equidistant":
+        raw = cv2.fisheye.projectPoints(points[:, None], none, none, eye.K, eye.D)[0][:, 0]
+    else:
+        raw = cv2.projectPoints(points, none, none, eye.K, eye.D)[0][:, 0]
+    expected = rays * [eye.K[0, 0], eye.K[1, 1]] + eye.K[:2, 2]
+    np.testing.assert_allclose(undistort_points(raw, eye), expected, atol=1e-6)
+    assert np.abs(raw - expected).max() > 5
+
+
+def test_without_distortion_points_stay() -> None:
+    points = np.array([[3.25, 200.5], [700.0, 1.0]])
+    np.testing.assert_array_equal(undistort_points(points, camera("plumb_bob", [0.0] * 5)), points)
+
+
+def test_points_that_no_pinhole_sees_are_left_out() -> None:
+    """Of a fisheye, a point 95 degrees off the axis."""
+    eye = camera("equidistant", [0.0, 0.0, 0.0, 1e-9])
+    beyond = np.array([eye.K[0, 2] + eye.K[0, 0] * np.radians(95), eye.K[1, 2]])
+    matches = Correspondences(np.vstack((beyond, [100.0, 90.0])), np.array([[90.0, 80.0], [91.0, 81.0]]))
+    assert np.isnan(undistort_points(matches.left_px, eye)[0]).all()
+    left_over = matches.undistorted(eye, camera("plumb_bob", [0.0] * 5))
+    np.testing.assert_allclose(left_over.right_px, [[91.0, 81.0]])
+
+
+def test_take() -> None:
+    matches = Correspondences(np.arange(8.0).reshape(4, 2), np.arange(8.0, 16.0).reshape(4, 2))
+    np.testing.assert_array_equal(matches.take(np.array([True, False, False, True])).left_px, [[0, 1], [6, 7]])
+    np.testing.assert_array_equal(matches.take(np.array([2, 0])).right_px, [[12, 13], [8, 9]])
