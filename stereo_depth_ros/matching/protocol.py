@@ -12,7 +12,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError, ImageError
 from stereo_depth_ros.types import F32, U8, MatchResult
 
-__all__ = ["Matcher", "check_pair", "check_search", "disparity_buffer"]
+__all__ = ["Matcher", "check_images", "check_pair", "check_search", "disparity_buffer"]
 
 # Disparities are 16-bit integers in steps of 1/16 px, as OpenCV's; one whole step is kept for "invalid".
 FIXED_STEPS = 16
@@ -56,12 +56,8 @@ def check_search(config: MatchingConfig) -> None:
         )
 
 
-def check_pair(left: U8, right: U8, config: MatchingConfig, partial: bool = False) -> None:
-    """ImageError where the images are not two uint8 (H, W) of one size, with room for the window and the search.
-
-    Args:
-        partial: the method also searches the part of the range that lies in the right image: one disparity is enough.
-    """
+def check_images(left: U8, right: U8) -> None:
+    """ImageError where the images are not two uint8 (H, W) of one size."""
     for side, image in (("left", left), ("right", right)):
         if image.dtype != np.uint8 or image.ndim != 2:
             raise ImageError(
@@ -69,6 +65,15 @@ def check_pair(left: U8, right: U8, config: MatchingConfig, partial: bool = Fals
             )
     if left.shape != right.shape:
         raise ImageError(f"left image is {left.shape}, right image is {right.shape}: both must have one size")
+
+
+def check_pair(left: U8, right: U8, config: MatchingConfig, partial: bool = False) -> None:
+    """ImageError where the images are not two uint8 (H, W) of one size, with room for the window and the search.
+
+    Args:
+        partial: the method also searches the part of the range that lies in the right image: one disparity is enough.
+    """
+    check_images(left, right)
     height, width = left.shape
     nearest = max(config.min_disparity, -config.max_disparity, 0)
     if partial and height and width > nearest:

@@ -1,0 +1,337 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How the right camera has moved: points seen by one that has moved by known amounts, and real pictures turned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo_depth_ros.calibration.misalignment import (
+    CorrectionLimits,
+    Misalignment,
+    MisalignmentEstimator,
+    corrected_rig,
+)
+from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.io.datasets.kitti import KittiDataset
+from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import F64, U8
+
+RIG = StereoRig.from_rectified(410.0, 420.0, 330.0, 318.0, 205.0, 0.12, (640, 430))
+NAMES = ("pitch", "yaw", "roll", "scale")
+
+
+def moved(w_deg: F64 | list[float], scale: float = 0.0) -> tuple[F64, float]:
+    return np.radians(np.array(w_deg)), scale
+
+
+def frame(seed: int, w: F64, scale: float = 0.0, count: int = 300, noise_px: float = 0.15) -> RowMatches:
+    """What a rectified pair shows when the rays of the right camera have turned by w and f has grown."""
+    random = np.random.default_rng(seed)
+    left = random.uniform((40, 5), (635, 425), (count, 2))
+    depth_m = random.uniform(0.7, 12, count)
+    points = np.column_stack(((left[:, 0] - RIG.cx_left) / RIG.f_px, (left[:, 1] - RIG.cy) / RIG.fy_px, np.ones(count)))
+    right = (points * depth_m[:, None] - [RIG.baseline_m, 0, 0]) @ cv2.Rodrigues(w)[0].T
+    focal_px = np.array([RIG.f_px, RIG.fy_px]) * (1 + scale)
+    right_px = right[:, :2] / right[:, 2:] * focal_px + [RIG.cx_right, RIG.cy]
+    noise = noise_px * random.standard_normal((2, count, 2))
+    return RowMatches(left + noise[0], right_px + noise[1])
+
+
+def estimate(
+    w: F64, scale: float = 0.0, frames: int = 10, seed: int = 0, reference: float | None = None, **how: float
+) -> Misalignment:
+    estimator = MisalignmentEstimator(RIG, reference)
+    found = [estimator.add(frame(100 * seed + k, w, scale, **how)) for k in range(frames)][-1]  # type: ignore[arg-type]
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("w_deg", [[0.3, 0, 0], [0, 0.3, 0], [0, 0, 0.3], [-0.7, 0.9, 0.5], [0, 0, 0]])
+@pytest.mark.parametrize("scale", [0.0, -0.004])
+def test_without_noise_it_is_exact(w_deg: list[float], scale: float) -> None:
+    found = estimate(np.radians(w_deg), scale, frames=3, noise_px=0)
+    np.testing.assert_allclose(found.rotation_deg, w_deg, atol=1e-5)
+    assert found.scale == pytest.approx(scale, abs=1e-7)
+    assert found.rest_px < 1e-4
+
+
+def test_what_is_reported_of_the_rows() -> None:
+    found = estimate(np.radians([0.4, 0, 0]), frames=4, noise_px=0.1)
+    expected_px = -RIG.fy_px * np.tan(np.radians(0.4))
+    assert found.shift_px == pytest.approx(expected_px, abs=0.05)
+    matches = [frame(k, np.radians([0.4, 0, 0]), noise_px=0.1) for k in range(4)]
+    errors = np.concatenate([each.errors_px for each in matches])
+    assert found.row_median_px == pytest.approx(np.median(np.abs(errors)))
+    assert found.row_rms_px == pytest.approx(np.sqrt(np.mean(errors**2)))
+    assert (found.matches, found.frames) == (1200, 4)
+    # Of both pictures' noise the rows keep the vertical part
+    assert found.rest_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+
+
+def test_errors_fall_as_the_root_of_the_number() -> None:
+    w = np.radians([0.2, -0.3, 0.1])
+
+    def error(count: int) -> F64:
+        draws = [estimate(w, 0.001, frames=4, seed=seed, count=count) for seed in range(24)]
+        found = np.array([[*each.rotation_deg, np.degrees(each.scale)] for each in draws])
+        rms: F64 = np.sqrt(np.mean((found - [0.2, -0.3, 0.1, np.degrees(0.001)]) ** 2, axis=0))
+        return rms
+
+    ratios = error(100) / error(400)
+    # Each is the ratio of two deviations of 24 draws, which is known to about 20 %
+    assert (np.abs(ratios - 2) < 0.9).all()
+    assert ratios.mean() == pytest.approx(2, rel=0.2)
+
+
+def test_standard_deviations_are_those_of_many_draws() -> None:
+    w = np.radians([0.2, -0.3, 0.1])
+    draws = [estimate(w, 0.001, frames=12, seed=seed) for seed in range(40)]
+    found = np.array([[*each.rotation_deg, each.scale] for each in draws])
+    told = np.array([[*each.rotation_sigma_deg, each.scale_sigma] for each in draws]).mean(axis=0)
+    # The larger of two estimates is told, which is a little too careful
+    assert (told / found.std(axis=0) > 0.75).all()
+    assert (told / found.std(axis=0) < 1.6).all()
+
+
+def test_frames_that_are_off_together_are_not_counted_as_many_matches() -> None:
+    """Row errors that all matches of a frame share, another one in each frame, do not average out within the frame."""
+    random = np.random.default_rng(0)
+    estimator, found = MisalignmentEstimator(RIG), None
+    for k in range(16):
+        matches = frame(k, np.zeros(3), noise_px=0.05)
+        matches.right_px[:, 1] += 0.5 * random.standard_normal()
+        found = estimator.add(matches)
+    assert found is not None
+    pitch_sigma = np.degrees(0.5 / RIG.fy_px / np.sqrt(16))
+    assert found.rotation_sigma_deg[0] == pytest.approx(pitch_sigma, rel=0.5)
+
+
+def test_wrong_matches_do_little() -> None:
+    w = np.radians([0.3, 0.2, -0.2])
+    estimator, found = MisalignmentEstimator(RIG), None
+    for k in range(6):
+        matches = frame(k, w)
+        matches.right_px[:45, 1] += np.random.default_rng(k).uniform(2, 20, 45)
+        found = estimator.add(matches)
+    assert found is not None
+    np.testing.assert_allclose(found.rotation_deg, np.degrees(w), atol=0.02)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_turn_is_significant_and_nothing_else(axis: int) -> None:
+    w = np.zeros(3)
+    w[axis] = np.radians(0.3)
+    found = estimate(w)
+    assert found.significant == (NAMES[axis],)
+    assert found.detected
+
+
+def test_nothing_is_detected_where_nothing_is() -> None:
+    for seed in range(20):
+        assert not estimate(np.zeros(3), frames=3, seed=seed, count=60).detected
+
+
+def test_small_turns_are_told_and_not_significant() -> None:
+    found = estimate(np.radians([0.02, 0, 0]), frames=20)
+    assert found.rotation_deg[0] == pytest.approx(0.02, abs=0.005)
+    assert not found.detected
+
+
+def test_scale_is_significant() -> None:
+    assert estimate(np.zeros(3), 0.006).significant == ("scale",)
+
+
+def test_yaw_of_the_calibration_itself_is_no_change() -> None:
+    w = np.radians([0, 0.5, 0])
+    assert estimate(w).significant == ("yaw",)
+    assert not estimate(w, reference=0.5).detected
+    assert estimate(np.radians([0, 0.9, 0]), reference=0.5).significant == ("yaw",)
+
+
+def test_too_few() -> None:
+    estimator = MisalignmentEstimator(RIG)
+    assert estimator.add(frame(0, np.zeros(3))) is None
+    assert estimator.add(frame(1, np.zeros(3))) is None
+    assert estimator.add(frame(2, np.zeros(3))) is not None
+    sparse = MisalignmentEstimator(RIG)
+    assert [sparse.add(frame(k, np.zeros(3), count=20)) is None for k in range(6)] == [True] * 4 + [False] * 2
+
+
+def test_frames_without_matches_do_no_harm() -> None:
+    estimator, none = MisalignmentEstimator(RIG), RowMatches(np.empty((0, 2)), np.empty((0, 2)))
+    for k in range(4):
+        estimator.add(frame(k, np.radians([0.3, 0, 0])))
+        found = estimator.add(none)
+    assert found is not None
+    assert found.rotation_deg[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_old_frames_are_forgotten() -> None:
+    estimator = MisalignmentEstimator(RIG)
+    for k in range(20):
+        estimator.add(frame(k, np.radians([0.6, 0, 0])))
+    for k in range(20):
+        found = estimator.add(frame(k, np.zeros(3)))
+    assert found is not None
+    assert abs(found.rotation_deg[0]) < 0.01
+    estimator.restart(RIG)
+    assert estimator.add(frame(0, np.zeros(3))) is None
+
+
+def raw_rig() -> StereoRig:
+    """A rig with distortion, unequal cameras and a rectification."""
+    K_left = np.array([[500.0, 0, 322], [0, 505, 207], [0, 0, 1]])
+    K_right = np.array([[520.0, 0, 310], [0, 517, 222], [0, 0, 1]])
+    R = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))[0]
+    D = [-0.2, 0.05, 0.001, -0.0005, 0.0]
+    return StereoRig.from_calibration(K_left, D, K_right, D, R, [-0.12, 0.004, 0.002], (640, 430))
+
+
+def rectified(points_px: F64, rig: StereoRig) -> F64:
+    """Raw points of the right camera, float64 (N, 2), rectified."""
+    eye = rig.right
+    moved = cv2.undistortPoints(points_px[:, None], eye.K, eye.D, None, eye.R, eye.P[:, :3])
+    return np.asarray(moved[:, 0], np.float64)
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Raw right points of a camera that has turned since, and where they should be rectified to."""
+
+    raw_px: F64
+    true_px: F64
+
+
+def turned(rig: StereoRig, w: F64) -> Turned:
+    eye, random = rig.right, np.random.default_rng(2)
+    true_px = random.uniform((60, 40), (580, 380), (80, 2))
+    rays = np.column_stack((true_px, np.ones(80))) @ np.linalg.inv(eye.P[:, :3]).T @ cv2.Rodrigues(w)[0].T @ eye.R
+    raw = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), eye.K, eye.D)[0][:, 0]
+    return Turned(np.asarray(raw, np.float64), true_px)
+
+
+def test_corrected_rig_rectifies_to_the_true_points() -> None:
+    rig, w = raw_rig(), np.radians([0.4, -0.3, 0.5])
+    seen = turned(rig, w)
+    off = estimate(np.zeros(3))
+    corrected = corrected_rig(rig, replace(off, rotation_deg=np.degrees(w), scale=0.0), reference_yaw_deg=0.0)
+    assert np.abs(rectified(seen.raw_px, rig) - seen.true_px).max() > 4
+    np.testing.assert_allclose(rectified(seen.raw_px, corrected), seen.true_px, atol=1e-3)
+    np.testing.assert_array_equal(corrected.right.P, rig.right.P)
+    assert corrected.left is rig.left
+
+
+@pytest.mark.parametrize("reference", [None, -0.3])
+def test_yaw_of_the_calibration_leaves_the_disparities(reference: float | None) -> None:
+    """In the middle of the picture; rows are corrected all the same."""
+    rig, w = raw_rig(), np.radians([0.0, -0.3, 0.0])
+    seen = turned(rig, w)
+    found = replace(estimate(np.zeros(3)), rotation_deg=np.degrees(w), scale=0.0)
+    before, after = (rectified(seen.raw_px, each) for each in (rig, corrected_rig(rig, found, None, reference)))
+    off, left_over = (np.sqrt(np.mean((each[:, 1] - seen.true_px[:, 1]) ** 2)) for each in (before, after))
+    assert off > 0.15
+    assert left_over < 0.5 * off  # the lens bends the shift of the principal point
+    middle = np.abs(seen.true_px - [rig.cx_right, rig.cy]).max(axis=1) < 120
+    shift_px = after[middle, 0] - before[middle, 0]
+    assert middle.sum() > 5
+    assert np.abs(shift_px).max() < 0.35  # a turn would shift by 2.7 px
+
+
+def test_scale_is_corrected() -> None:
+    rig = raw_rig()
+    larger = replace(rig, right=replace(rig.right, K=rig.right.K * [[1.004, 1.004, 1], [1.004, 1.004, 1], [1, 1, 1]]))
+    found = replace(estimate(np.zeros(3)), rotation_deg=np.zeros(3), scale=0.004)
+    np.testing.assert_allclose(corrected_rig(rig, found).right.K, larger.right.K, rtol=1e-12)
+
+
+def test_corrections_have_limits() -> None:
+    found = estimate(np.zeros(3))
+    with pytest.raises(CalibrationError, match=r"turned by 1\.200 degrees, corrected are up to 1: .*calibrate again"):
+        corrected_rig(RIG, replace(found, rotation_deg=np.array([0.1, -1.2, 0.0])))
+    with pytest.raises(CalibrationError, match=r"changed by -2\.00 %, corrected are up to 1 %"):
+        corrected_rig(RIG, replace(found, rotation_deg=np.zeros(3), scale=-0.02))
+    with pytest.raises(CalibrationError, match=r"corrected are up to 0\.05"):
+        corrected_rig(RIG, replace(found, rotation_deg=np.array([0.1, 0, 0])), CorrectionLimits(rotation_deg=0.05))
+
+
+@dataclass(frozen=True)
+class Street:
+    """A real sequence, and what is estimated from it as it is."""
+
+    rig: StereoRig
+    pairs: list[tuple[U8, U8]]
+    undisturbed: Misalignment
+
+    def turned(self, axis: int) -> list[tuple[U8, U8]]:
+        """The same with the right pictures turned by 0.3 degrees."""
+        w, K = np.zeros(3), self.rig.right.P[:, :3]
+        w[axis] = np.radians(0.3)
+        H = K @ cv2.Rodrigues(w)[0] @ np.linalg.inv(K)
+        size = (self.rig.width, self.rig.height)
+        return [(left, np.asarray(cv2.warpPerspective(right, H, size), np.uint8)) for left, right in self.pairs]
+
+
+@pytest.fixture(scope="module")
+def street(stereo_data: Path) -> Street:
+    dataset = KittiDataset(stereo_data / "kitti_odometry" / "seqA_1226x370")
+    pairs = [(each.left.pixels, each.right.pixels) for each in islice(dataset, 20)]
+    found = follow(MisalignmentEstimator(dataset.rig), pairs)[-1]
+    assert found is not None
+    return Street(dataset.rig, pairs, found)
+
+
+def follow(estimator: MisalignmentEstimator, pairs: list[tuple[U8, U8]]) -> list[Misalignment | None]:
+    return [estimator.add(match_rows(left, right)) for left, right in pairs]
+
+
+def density_and_rows(rig: StereoRig, pairs: list[tuple[U8, U8]]) -> tuple[float, float]:
+    """Share of pixels with a disparity, and median row error, px, of pairs whose right pictures the rig rectifies."""
+    eye, matcher = rig.right, create_matcher("sgm", MatchingConfig(num_disparities=128))
+    maps = cv2.initUndistortRectifyMap(eye.K, eye.D, eye.R, eye.P[:, :3], (eye.width, eye.height), cv2.CV_32FC1)
+    densities, errors = [], []
+    for left, right in pairs[::7]:
+        straight = np.asarray(cv2.remap(right, *maps, cv2.INTER_LINEAR), np.uint8)
+        densities.append(np.isfinite(matcher.match(left, straight).disparity_px).mean())
+        errors.append(match_rows(left, straight).errors_px)
+    return float(np.mean(densities)), float(np.median(np.abs(np.concatenate(errors))))
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(("axis", "tolerance_deg"), [(0, 0.03), (1, 0.1), (2, 0.03)])
+def test_a_street_with_the_right_camera_turned(street: Street, axis: int, tolerance_deg: float) -> None:
+    """Detected within 20 frames, estimated, and corrected: density and rows as they were, to 5 %, or better."""
+    reference = float(street.undisturbed.rotation_deg[1])
+    pairs = street.turned(axis)
+    told = follow(MisalignmentEstimator(street.rig, reference), pairs)
+    found = told[-1]
+    assert found is not None
+    assert any(each is not None and NAMES[axis] in each.significant for each in told[:20])
+    expected = np.eye(3)[axis] * 0.3
+    assert np.abs(found.rotation_deg - street.undisturbed.rotation_deg - expected)[axis] <= tolerance_deg
+    density, row_px = density_and_rows(street.rig, street.pairs)
+    corrected = corrected_rig(street.rig, found, reference_yaw_deg=reference)
+    density_again, row_again_px = density_and_rows(corrected, pairs)
+    assert density_again >= 0.95 * density
+    assert row_again_px <= 1.05 * row_px
+    disturbed_density, disturbed_row_px = density_and_rows(street.rig, pairs)
+    assert disturbed_density < 0.95 * density
+    assert disturbed_row_px > 1.05 * row_px
+
+
+@pytest.mark.real_data
+def test_a_street_as_it_is(street: Street) -> None:
+    """Its calibration has a keystone from the beginning, as of a yaw of half a degree, and no other fault."""
+    assert street.undisturbed.significant == ("yaw",)
+    reference = float(street.undisturbed.rotation_deg[1])
+    told = follow(MisalignmentEstimator(street.rig, reference), street.pairs[:12])
+    assert not any(each is not None and each.detected for each in told)
