@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Views of a board by both eyes: how each lies in the picture, what all of them cover and what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from stereo_depth_ros.calibration.boards import Corners
+from stereo_depth_ros.types import F64
+
+__all__ = ["BoardView", "Coverage", "Placement", "ViewCollector", "placement"]
+
+# as camera_calibration of ROS has them: what full coverage is, and how different a view has to be
+_FULL = {"x": 0.7, "y": 0.7, "size": 0.4, "skew": 0.5}
+_NEW = 0.2
+_EDGE = 0.15  # a position this near to 0 or 1 has reached that end
+
+
+@dataclass(frozen=True, eq=False)
+class BoardView:
+    """A board as both eyes see it.
+
+    Attributes:
+        name: of the pair, for messages: a file, or a stamp.
+        size: width, height of both pictures, px.
+        left, right: its corners, in the same order where the board does not number them.
+    """
+
+    name: str
+    size: tuple[int, int]
+    left: Corners
+    right: Corners
+
+
+class Placement(NamedTuple):
+    """How a board lies in a picture, each within 0..1.
+
+    Attributes:
+        x, y: position, 0 where the board touches the left or upper edge, 1 where it touches the right or lower one.
+        size: square root of the share of the picture that the board takes.
+        skew: how far the angle at a corner of the board is from a right one; 1 is 30 degrees or more.
+    """
+
+    x: float
+    y: float
+    size: float
+    skew: float
+
+
+def placement(corners: Corners, size: tuple[int, int]) -> Placement:
+    """How a board lies in a picture of ``size`` (width, height), as camera_calibration of ROS measures it."""
+    points = corners.image_px
+    area = cv2.contourArea(cv2.convexHull(points.astype(np.float32)))
+    border = float(np.sqrt(area))
+    x, y = (
+        float(np.clip((mean - border / 2) / max(length - border, 1.0), 0, 1))
+        for mean, length in zip(points.mean(axis=0), size, strict=True)
+    )
+    return Placement(x, y, min(1.0, border / float(np.sqrt(size[0] * size[1]))), _skew(corners))
+
+
+def _skew(corners: Corners) -> float:
+    """From the angle between a row and a column of the board, at the corner where they meet."""
+    board = corners.board_m[:, :2]
+    origin, across, down = (
+        corners.image_px[int(np.argmin(board @ direction))]
+        for direction in (np.array([1.0, 1.0]), np.array([-1.0, 1.0]), np.array([1.0, -1.0]))
+    )
+    one, other = across - origin, down - origin
+    length = float(np.linalg.norm(one) * np.linalg.norm(other))
+    if length == 0:
+        return 0.0
+    angle = np.arccos(np.clip(one @ other / length, -1, 1))
+    return float(min(1.0, 2 * abs(np.pi / 2 - angle)))
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How far views cover what a calibration needs.
+
+    Attributes:
+        x, y, size, skew: 0..1, 1 is enough.
+        missing: what to do about it, a sentence each; empty where all is covered.
+    """
+
+    x: float
+    y: float
+    size: float
+    skew: float
+    missing: tuple[str, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Nothing is missing."""
+        return not self.missing
+
+    @classmethod
+    def of(cls, placements: Sequence[Placement]) -> Coverage:
+        """Of views, by how the board lies in their left pictures; a small board or a straight one covers nothing."""
+        if not placements:
+            return cls(0.0, 0.0, 0.0, 0.0, ("show the board to both eyes",))
+        values: F64 = np.array(placements, np.float64)
+        low, high = values.min(axis=0), values.max(axis=0)
+        low[2:] = 0
+        reached = np.minimum((high - low) / np.array(list(_FULL.values())), 1.0)
+        missing = [*_missing_position(low[0], high[0], reached[0], ("left", "right"))]
+        missing += _missing_position(low[1], high[1], reached[1], ("upper", "lower"))
+        if reached[2] < 1:
+            missing.append("move the board closer, until it fills half of the picture's width and height")
+        if reached[3] < 1:
+            missing.append("tilt the board, one edge nearer to the cameras than the other, and turn it in its plane")
+        x, y, size, skew = (float(value) for value in reached)
+        return cls(x, y, size, skew, tuple(missing))
+
+
+def _missing_position(low: float, high: float, reached: float, edges: tuple[str, str]) -> Iterable[str]:
+    if reached >= 1:
+        return
+    if low > _EDGE:
+        yield f"move the board to the {edges[0]} edge"
+    if high < 1 - _EDGE:
+        yield f"move the board to the {edges[1]} edge"
+
+
+class ViewCollector:
+    """Takes the views that are new among those it has, one after the other.
+
+    Attributes:
+        views: those taken so far.
+    """
+
+    def __init__(self) -> None:
+        self.views: list[BoardView] = []
+        self._placements: list[Placement] = []
+
+    def is_new(self, left: Corners, size: tuple[int, int]) -> bool:
+        """Whether the board lies otherwise than in every view taken, by its corners in the left picture."""
+        place = np.array(placement(left, size))
+        return all(float(np.abs(place - other).sum()) > _NEW for other in np.array(self._placements))
+
+    def add(self, view: BoardView) -> bool:
+        """Takes the view if it is new; whether it was taken."""
+        if not self.is_new(view.left, view.size):
+            return False
+        self.views.append(view)
+        self._placements.append(placement(view.left, view.size))
+        return True
+
+    @property
+    def coverage(self) -> Coverage:
+        """What the views taken so far cover."""
+        return Coverage.of(self._placements)

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration boards and where their corners are in a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.types import F64, U8
+
+__all__ = ["BOARDS", "Board", "Corners", "check_board_size", "create_board", "refine_corners"]
+
+BOARDS = ("chessboard", "charuco", "aprilgrid")
+MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
+MIN_CORNERS = 8  # 8 points fix the pose of a view (6 numbers) and leave 10 measurements for the rest
+_MAX_HALF_WINDOW = 5  # px
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """What was seen of a board in one picture.
+
+    Attributes:
+        ids: int (N,), numbers of the corners on the board, unique.
+        board_m: float64 (N, 3), where they are on the board, metres, z = 0.
+        image_px: float64 (N, 2), where they are in the picture, columns x, y, px.
+    """
+
+    ids: npt.NDArray[np.int64]
+    board_m: F64
+    image_px: F64
+
+
+class Board(Protocol):
+    """A board that can be found in pictures.
+
+    Attributes:
+        size: columns, rows, as the user counts them.
+        counted: what ``size`` counts.
+    """
+
+    size: tuple[int, int]
+    counted: str
+
+    def detect(self, gray: U8) -> Corners | None:
+        """The corners in a picture, uint8 (H, W); None where the board is not found."""
+
+    def align(self, left: Corners, right: Corners) -> Corners:
+        """The right corners in the order of the left ones, where the board itself does not tell its orientation."""
+
+
+def create_board(
+    kind: str,
+    size: tuple[int, int],
+    square_m: float,
+    *,
+    marker_m: float | None = None,
+    dictionary: str = "DICT_4X4_50",
+    spacing: float = 0.3,
+) -> Board:
+    """A board by its name.
+
+    Args:
+        kind: "chessboard", "charuco" or "aprilgrid".
+        size: columns, rows: inner corners of a chessboard, squares of a ChArUco board, tags of an aprilgrid.
+        square_m: side of a square, or of a tag of an aprilgrid, metres.
+        marker_m: side of a marker of a ChArUco board, metres; None is 3/4 of the square.
+        dictionary: markers of a ChArUco board, as OpenCV names them.
+        spacing: gap between the tags of an aprilgrid, as a share of ``square_m``.
+
+    Raises:
+        ConfigError: an unknown kind, a size or a length that cannot be, or an OpenCV without the detector.
+    """
+    from stereo_depth_ros.calibration.chessboard import Chessboard
+    from stereo_depth_ros.calibration.marker_boards import AprilGrid, CharucoBoard
+
+    makers: Mapping[str, Callable[[], Board]] = {
+        "chessboard": lambda: Chessboard(size, square_m),
+        "charuco": lambda: CharucoBoard(size, square_m, 0.75 * square_m if marker_m is None else marker_m, dictionary),
+        "aprilgrid": lambda: AprilGrid(size, square_m, spacing),
+    }
+    if kind not in makers:
+        raise ConfigError(f"board {kind!r} is none of {', '.join(BOARDS)}: name one of them")
+    return makers[kind]()
+
+
+def check_board_size(size: tuple[int, int], square_m: float, smallest: int, counted: str) -> None:
+    """Refuses boards that cannot be.
+
+    Raises:
+        ConfigError: fewer than ``smallest`` columns or rows, or a square that is not 1 mm to 1 m.
+    """
+    if min(size) < smallest:
+        raise ConfigError(
+            f"size {size[0]}x{size[1]} is below {smallest}x{smallest}: count the {counted}, columns x rows, such as 9x6"
+        )
+    if not MIN_SQUARE_M <= square_m <= MAX_SQUARE_M:
+        raise ConfigError(
+            f"square {square_m:g} m is outside {MIN_SQUARE_M:g}..{MAX_SQUARE_M:g} m: it is given in metres, "
+            f"{square_m:g} mm are {square_m / 1000:g}"
+        )
+
+
+def refine_corners(gray: U8, corners_px: F64, spacing_px: float) -> F64:
+    """Corners to a small part of a pixel, by the gradients around each (Foerstner 1987, OpenCV's cornerSubPix).
+
+    Args:
+        gray: uint8 (H, W).
+        corners_px: float64 (N, 2), within a pixel or two.
+        spacing_px: smallest distance of two corners, px; the window keeps clear of the neighbours.
+    """
+    half = int(np.clip(spacing_px / 3, 1, _MAX_HALF_WINDOW))
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
+    points: Any = np.ascontiguousarray(corners_px, np.float32).reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(gray, points.copy(), (half, half), (-1, -1), criteria)
+    return np.asarray(refined, np.float64).reshape(-1, 2)

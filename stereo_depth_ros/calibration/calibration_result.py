@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a stereo calibration gives: both cameras, the rig, how well they fit and how well they are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stereo_depth_ros.calibration.board_views import Coverage
+from stereo_depth_ros.calibration.camera_calibration import DroppedView
+from stereo_depth_ros.calibration.projection import parameter_names
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import F64
+
+__all__ = ["SolvedCamera", "StereoCalibration", "ViewFigures"]
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedCamera:
+    """One eye.
+
+    Attributes:
+        K: float64 (3, 3), px.
+        D: float64 (n,), coefficients of the distortion model.
+        sigmas: standard deviations of fx, fy, cx, cy in px and of the coefficients, float64 (4 + n,).
+        rms_px: root mean square distance of seen and projected corners, both eyes solved together.
+        rms_alone_px: the same where this eye is solved alone.
+    """
+
+    K: F64
+    D: F64
+    sigmas: F64
+    rms_px: float
+    rms_alone_px: float
+
+    def to_json(self, model: str) -> dict[str, Any]:
+        """Value and standard deviation of each parameter, by its name."""
+        values = [self.K[0, 0], self.K[1, 1], self.K[0, 2], self.K[1, 2], *self.D]
+        return {
+            name: {"value": float(value), "sigma": float(sigma)}
+            for name, value, sigma in zip(parameter_names(model), values, self.sigmas, strict=True)
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ViewFigures:
+    """One view that was used: corners of both eyes, float64 (N, 2), px, and their root mean square errors, px."""
+
+    name: str
+    left_px: F64
+    right_px: F64
+    rms_left: float
+    rms_right: float
+    rms_rows: float
+
+
+@dataclass(frozen=True, eq=False)
+class StereoCalibration:
+    """Result of :func:`~stereo_depth_ros.calibration.stereo_calibration.calibrate`.
+
+    Attributes:
+        model: distortion model of both cameras.
+        left, right: the cameras.
+        R: float64 (3, 3), X_right = R X_left + T.
+        T: float64 (3,), metres.
+        R_sigma_deg: standard deviations of the rotation about x, y, z of the right camera, float64 (3,), degrees.
+        T_sigma_m: of T, float64 (3,), metres.
+        baseline_sigma_m: of the length of T. What the board's own size is wrong by is not in it.
+        rms_stereo_px: root mean square distance over all corners of both eyes.
+        epipolar_rms_px: root mean square difference of rows of the corners after rectification, px of the rectified
+            pictures.
+        rig: both cameras, rectified.
+        views: those that were used.
+        dropped: those that were left out, with the reason.
+        coverage: of the views that were used.
+        warnings: what makes the result less good than its figures, a sentence each.
+    """
+
+    model: str
+    left: SolvedCamera
+    right: SolvedCamera
+    R: F64
+    T: F64
+    R_sigma_deg: F64
+    T_sigma_m: F64
+    baseline_sigma_m: float
+    rms_stereo_px: float
+    epipolar_rms_px: float
+    rig: StereoRig
+    views: tuple[ViewFigures, ...]
+    dropped: tuple[DroppedView, ...]
+    coverage: Coverage
+    warnings: tuple[str, ...]
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance of the two optical centres, metres."""
+        return float(np.linalg.norm(self.T))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width, height of the pictures, px."""
+        return self.rig.width, self.rig.height
+
+    def to_json(self) -> dict[str, Any]:
+        """All figures in types that JSON has."""
+        coverage = {name: getattr(self.coverage, name) for name in ("x", "y", "size", "skew")}
+        return {
+            "model": self.model,
+            "image_width": self.size[0],
+            "image_height": self.size[1],
+            "rms_left": self.left.rms_px,
+            "rms_right": self.right.rms_px,
+            "rms_left_alone": self.left.rms_alone_px,
+            "rms_right_alone": self.right.rms_alone_px,
+            "rms_stereo": self.rms_stereo_px,
+            "epipolar_rms_px": self.epipolar_rms_px,
+            "baseline_m": self.baseline_m,
+            "baseline_sigma_m": self.baseline_sigma_m,
+            "views_used": len(self.views),
+            "views_dropped": len(self.dropped),
+            "left": self.left.to_json(self.model),
+            "right": self.right.to_json(self.model),
+            "R": self.R.tolist(),
+            "R_sigma_deg": self.R_sigma_deg.tolist(),
+            "T_m": self.T.tolist(),
+            "T_sigma_m": self.T_sigma_m.tolist(),
+            "coverage": {**coverage, "missing": list(self.coverage.missing)},
+            "views": [
+                {"name": v.name, "rms_left": v.rms_left, "rms_right": v.rms_right, "rms_rows": v.rms_rows}
+                for v in self.views
+            ],
+            "dropped": [{"name": view.name, "reason": view.reason} for view in self.dropped],
+            "warnings": list(self.warnings),
+        }

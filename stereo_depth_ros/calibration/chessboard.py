@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Chessboards: found by their squares, put in the same order in both eyes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from stereo_depth_ros.calibration.boards import Corners, check_board_size, refine_corners
+from stereo_depth_ros.types import F64, U8
+
+__all__ = ["Chessboard"]
+
+
+class Chessboard:
+    """A chessboard, which is found when all of it is in the picture.
+
+    Args:
+        size: columns, rows of inner corners.
+        square_m: side of a square, metres.
+
+    Raises:
+        ConfigError: a size or a square that cannot be.
+    """
+
+    counted = "inner corners"
+
+    def __init__(self, size: tuple[int, int], square_m: float) -> None:
+        check_board_size(size, square_m, 3, self.counted)
+        self.size = size
+        columns, rows = size
+        self._ids = np.arange(columns * rows)
+        grid = np.column_stack([self._ids % columns, self._ids // columns, 0 * self._ids])
+        self._board_m = square_m * grid.astype(np.float64)
+
+    def detect(self, gray: U8) -> Corners | None:
+        """All corners, or None."""
+        found, corners = cv2.findChessboardCorners(
+            gray, self.size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        )
+        if not found:  # slower, but finds blurred and strongly distorted boards
+            found, corners = cv2.findChessboardCornersSB(gray, self.size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if not found:
+            return None
+        corners_px = np.asarray(corners, np.float64).reshape(-1, 2)
+        refined = refine_corners(gray, corners_px, self._spacing_px(corners_px))
+        return Corners(self._ids, self._board_m, refined)
+
+    def align(self, left: Corners, right: Corners) -> Corners:
+        """The right corners counted from the corner of the board that the left ones are counted from.
+
+        A board looks the same when it is counted from another end. Of the orders that are possible the one is taken
+        that lies most like the left one; the eyes may be rolled against each other by less than 90 degrees, by less
+        than 45 degrees for a square board.
+        """
+        wanted = left.image_px - left.image_px.mean(axis=0)
+
+        def unlikeness(corners_px: F64) -> float:
+            return float(np.square(corners_px - corners_px.mean(axis=0) - wanted).sum())
+
+        return Corners(right.ids, right.board_m, min(self._orders(right.image_px), key=unlikeness))
+
+    def _orders(self, corners_px: F64) -> Iterator[F64]:
+        """The ways to count the same corners that leave a board of this size."""
+        columns, rows = self.size
+        grid = corners_px.reshape(rows, columns, 2)
+        grids = (grid, grid.transpose(1, 0, 2)) if rows == columns else (grid,)
+        for each in grids:
+            for down in (1, -1):
+                for across in (1, -1):
+                    yield each[::down, ::across].reshape(-1, 2)
+
+    def _spacing_px(self, corners_px: F64) -> float:
+        grid = corners_px.reshape(self.size[1], self.size[0], 2)
+        return float(min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)))

@@ -1,0 +1,208 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pairs of pictures before there is a calibration: image files in a folder, or the raw images of a bag."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.errors import BagError, TopicError
+from stereo_depth_ros.io.bag_reader import BagMessage, BagReader
+from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
+from stereo_depth_ros.io.datasets import IMAGE_SUFFIXES, read_image
+from stereo_depth_ros.io.image_message import decode, to_gray
+from stereo_depth_ros.io.stereo_topics import find_stereo_topics
+from stereo_depth_ros.pairing import StereoPairing
+from stereo_depth_ros.types import U8, Frame
+
+__all__ = ["BagPictures", "FolderPictures", "PicturePair", "StereoPictures", "open_pictures"]
+
+_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
+_DEPTH = 4  # folders below the one that is named
+_NAMING = "name them left*.png and right*.png, put them into left/ and right/, or give --left and --right patterns"
+_TOLERANCE_S = 0.005  # eyes that are exposed by one trigger, stamped by two clocks
+# the words that name an eye in a path: left, l, cam0, camera_0, image_0
+_EYE = r"{word}|(?<![a-z]){letter}(?![a-z])|(?:(?<=cam)|(?<=camera)|(?<=cam_)|(?<=camera_)|(?<=image_)){digit}(?!\d)"
+_LEFT = re.compile(_EYE.format(word="left", letter="l", digit="0"))
+_RIGHT = re.compile(_EYE.format(word="right", letter="r", digit="1"))
+
+
+@dataclass(frozen=True)
+class PicturePair:
+    """Pictures of both eyes, uint8 (H, W) grey, not necessarily of one size, and how messages name the pair."""
+
+    name: str
+    left: U8
+    right: U8
+
+
+class StereoPictures(Protocol):
+    """Pairs of pictures.
+
+    Attributes:
+        warnings: what was left out, a sentence each; final when all pairs have been read.
+        dense: a recording, in which one picture is like the next.
+    """
+
+    warnings: list[str]
+    dense: bool
+
+    def __len__(self) -> int:
+        """Number of pairs, or an upper bound of it."""
+
+    def __iter__(self) -> Iterator[PicturePair]:
+        """The pairs in their order."""
+
+
+def open_pictures(place: Path, left: str | None = None, right: str | None = None) -> StereoPictures:
+    """The pairs of a bag or of a folder.
+
+    Args:
+        place: a bag, or a folder of image files.
+        left, right: topics of the bag, or patterns of file names within the folder; None finds them.
+
+    Raises:
+        BagError, TopicError: nothing there, or no pairs.
+    """
+    if not place.exists():
+        raise BagError(f"{place} does not exist: name a folder of pictures, or a bag")
+    is_bag = place.is_file() or any(path.suffix in _BAG_SUFFIXES for path in place.iterdir())
+    return BagPictures(place, left, right) if is_bag else FolderPictures(place, left, right)
+
+
+class FolderPictures:
+    """Image files whose paths differ in the word that names the eye: left, right; l, r; cam0, cam1; image_0, image_1.
+
+    Args:
+        folder: where they are, in it or in folders below.
+        left, right: patterns such as "a/*.png" and "b/*.png"; what the wild cards stand for is equal in a pair.
+
+    Raises:
+        BagError: no pairs, or the files of one eye only.
+    """
+
+    dense = False
+
+    def __init__(self, folder: Path, left: str | None = None, right: str | None = None) -> None:
+        if (left is None) != (right is None):
+            raise BagError("--left or --right alone does not tell the other eye's files: give both patterns, or none")
+        if left is not None and right is not None:
+            eyes = _by_pattern(folder, left), _by_pattern(folder, right)
+        else:
+            eyes = _by_word(folder, _LEFT, _RIGHT), _by_word(folder, _RIGHT, _LEFT)
+        _check_eyes(folder, *eyes)
+        keys = sorted(set(eyes[0]) & set(eyes[1]))
+        self.warnings = [
+            f"{paths[key]} has no {other} picture beside it: it is left out"
+            for paths, other in zip(eyes, ("right", "left"), strict=True)
+            for key in sorted(set(paths) - set(keys))
+        ]
+        self._pairs = [(eyes[0][key], eyes[1][key]) for key in keys]
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __iter__(self) -> Iterator[PicturePair]:
+        for left, right in self._pairs:
+            yield PicturePair(left.name, _gray(left), _gray(right))
+
+
+def _gray(path: Path) -> U8:
+    pixels = read_image(path)
+    return to_gray(Frame(pixels, 0, "", "mono8" if pixels.ndim == 2 else "bgr8"))
+
+
+def _by_word(folder: Path, own: re.Pattern[str], other: re.Pattern[str]) -> dict[tuple[str, ...], Path]:
+    """Files of one eye, by their path without the words that name the eye."""
+    found: dict[tuple[str, ...], Path] = {}
+    for path in _images(folder):
+        text = path.relative_to(folder).as_posix().lower()
+        if own.search(text) and not other.search(text):
+            found[(own.sub("*", text),)] = path
+    return found
+
+
+def _by_pattern(folder: Path, pattern: str) -> dict[tuple[str, ...], Path]:
+    """Files that match, by what the wild cards of the pattern stand for."""
+    parts = re.split(r"(\*\*/|\*|\?)", pattern)
+    wild = {"**/": "((?:.*/)?)", "*": "([^/]*)", "?": "([^/])"}
+    expression = re.compile("".join(wild.get(part, re.escape(part)) for part in parts))
+    paths = {path.relative_to(folder).as_posix(): path for path in _images(folder)}
+    matches = ((expression.fullmatch(text), path) for text, path in paths.items())
+    return {match.groups(): path for match, path in matches if match}
+
+
+def _images(folder: Path) -> list[Path]:
+    levels = ("*/" * depth + "*" for depth in range(_DEPTH))
+    return sorted(path for level in levels for path in folder.glob(level) if path.suffix.lower() in IMAGE_SUFFIXES)
+
+
+def _check_eyes(folder: Path, left: dict[tuple[str, ...], Path], right: dict[tuple[str, ...], Path]) -> None:
+    if not left and not right:
+        raise BagError(f"{folder} has no pictures of a left and a right eye: {_NAMING}")
+    for paths, here, missing in ((right, left, "right"), (left, right, "left")):
+        if not paths:
+            example = next(iter(here.values()))
+            raise BagError(
+                f"{folder} has {len(here)} pictures as {example.name} and none of the {missing} eye: {_NAMING}"
+            )
+    if not set(left) & set(right):
+        examples = f"{next(iter(left.values())).name} and {next(iter(right.values())).name}"
+        raise BagError(f"{folder}: no left picture has the number of a right one, such as {examples}: {_NAMING}")
+
+
+class BagPictures:
+    """The raw images of a bag, paired by their stamps, which may differ by 5 ms; camera infos are not needed.
+
+    Args:
+        path: the bag.
+        left, right: image topics; None finds them.
+
+    Raises:
+        BagError, TopicError: no bag, or no stereo pair in it.
+    """
+
+    dense = True
+
+    def __init__(self, path: Path, left: str | None = None, right: str | None = None) -> None:
+        self._path = path
+        with BagReader(path) as reader:
+            types = {name: info.msgtype for name, info in reader.topics.items()}
+            self.warnings = [reader.warning] if reader.warning else []
+            try:
+                self._topics = find_stereo_topics(types, left, right)
+            except TopicError as error:
+                raise TopicError(f"{path}: {error}") from error
+            self._count = reader.topics[self._topics.left_image].count
+        if self._topics.rectified:
+            raise TopicError(
+                f"{path}: {self._topics.left_image} is rectified already: calibrate with raw images, record the topics "
+                "before rectification or name them with --left and --right"
+            )
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[PicturePair]:
+        config = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=_TOLERANCE_S)
+        pairing: StereoPairing[BagMessage] = StereoPairing(config)
+        with BagReader(self._path) as reader:
+            for message in reader.messages((self._topics.left_image, self._topics.right_image)):
+                add = pairing.add_left if message.topic == self._topics.left_image else pairing.add_right
+                for pair in add(cdr_stamp_ns(message.data), message):
+                    yield _decoded(reader, *pair)
+            for pair in pairing.flush():
+                yield _decoded(reader, *pair)
+        lost = pairing.counts.dropped_left + pairing.counts.dropped_right
+        if lost:
+            self.warnings.append(f"{self._path}: {lost} images have no partner within {1e3 * _TOLERANCE_S:g} ms")
+
+
+def _decoded(reader: BagReader, left: BagMessage, right: BagMessage) -> PicturePair:
+    grays = [to_gray(decode(reader.deserialize(message), message.topic)) for message in (left, right)]
+    return PicturePair(f"{cdr_stamp_ns(left.data) / 1e9:.3f} s", *grays)

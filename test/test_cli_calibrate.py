@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth calibrate`: files, figures, what is left out, wrong input."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rendered_boards import FISHEYE, SQUARE_M, chessboard_points, chessboard_print, photograph, poses
+
+from stereo_depth_ros.cli import main as cli
+from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.io.image_message import image_message
+from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import U8
+
+Run = Callable[..., tuple[int, str, str]]
+BOARD = ("--board", "chessboard", "--size", "7x5", "--square", SQUARE_M, "--model", "equidistant")
+KEYS = {"rms_left", "rms_right", "rms_stereo", "baseline_m", "epipolar_rms_px", "views_used", "views_dropped"}
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """Runs `stereo-depth calibrate` with arguments: exit code, stdout, stderr."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["stereo-depth", "calibrate", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(ended.value.code or 0), out, err
+
+    yield call
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture(scope="module")
+def photographs() -> list[tuple[U8, U8]]:
+    """Eight views by both eyes, and one of nothing."""
+    board_m = chessboard_points(7, 5)
+    print_ = chessboard_print(7, 5)
+    pairs = [photograph(print_, 40, SQUARE_M, FISHEYE, pose) for pose in poses(8, board_m, FISHEYE, seed=3)]
+    return [*pairs, (np.full_like(pairs[0][0], 90), np.full_like(pairs[0][1], 90))]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, photographs: list[tuple[U8, U8]]) -> Path:
+    for number, pair in enumerate(photographs):
+        for eye, picture in zip(("left", "right"), pair, strict=True):
+            path = tmp_path / "pictures" / eye / f"{number}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), picture)
+    return tmp_path / "pictures"
+
+
+def check_files(output: Path) -> None:
+    rig = StereoRig.from_yaml(output / "left.yaml", output / "right.yaml")
+    assert rig.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=1e-3)
+    assert rig.left.K[0, 0] == pytest.approx(FISHEYE.left[0], abs=1.0)
+    assert rig.right.distortion_model == "equidistant"
+    picture = cv2.imread(str(output / "coverage.png"))
+    assert picture is not None and picture.shape[1] > 1000
+
+
+def test_pictures_of_a_folder(run: Run, tmp_path: Path, folder: Path) -> None:
+    code, out, err = run(folder, *BOARD, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
+    assert code == 0, err
+    check_files(tmp_path / "out")
+    values = json.loads((tmp_path / "r.json").read_text())
+    assert values.keys() >= KEYS
+    assert (values["views_used"], values["views_dropped"]) == (8, 0)
+    assert values["rms_stereo"] < 0.2
+    assert values["epipolar_rms_px"] < 0.2
+    assert "baseline" in out and "±" in out and "0.png" in out
+    assert "warning: no board in 1 of 9 pairs: 8.png" in err
+    assert json.loads((tmp_path / "out" / "calibration.json").read_text())["rms_left"] == values["rms_left"]
+
+
+def test_bag(run: Run, tmp_path: Path, photographs: list[tuple[U8, U8]]) -> None:
+    """Every view comes three times, as of a recording."""
+    types = RosbagsTypes()
+    with BagWriter(tmp_path / "board.mcap") as bag:
+        for number, pair in enumerate(photographs):
+            for again in range(3):
+                stamp_ns = (3 * number + again) * 100_000_000
+                for eye, picture in zip(("left", "right"), pair, strict=True):
+                    bag.write(f"/{eye}/image_raw", image_message(types, picture, "mono8", stamp_ns, eye), stamp_ns)
+    code, out, err = run(tmp_path / "board.mcap", *BOARD, "-o", tmp_path / "out", "--json", "-")
+    assert code == 0, err
+    check_files(tmp_path / "out")
+    values = json.loads(out)
+    assert values["views_used"] <= 8
+    assert values["pairs"]["total"] == 27
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("--size", "9"), "--size '9' is not columns x rows: write it as 9x6"),
+        (("--board", "circles"), "'circles' is none of chessboard, charuco, aprilgrid"),
+        (("--model", "fisheye"), "'fisheye' is none of plumb_bob"),
+        (("--square", "25"), "25 mm are 0.025"),
+        (("--size", "8x6"), "but one of 7x5 in"),
+        (("--json", "nowhere/r.json"), "there is no folder"),
+    ],
+)
+def test_wrong_input(run: Run, tmp_path: Path, folder: Path, arguments: tuple[str, ...], text: str) -> None:
+    if text.startswith("but one"):
+        for path in folder.glob("*/[2-8].png"):
+            path.unlink()
+    code, _, err = run(folder, *BOARD, "-o", tmp_path / "out", *arguments)
+    assert code == 1
+    assert text in " ".join(err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_too_few_views(run: Run, tmp_path: Path, folder: Path) -> None:
+    for path in folder.glob("*/[3-7].png"):
+        path.unlink()
+    code, _, err = run(folder, *BOARD, "-o", tmp_path / "out")
+    assert code == 1
+    text = " ".join(err.split())
+    assert "3 views of the board, at least 5 are needed" in text
+    assert "no board in 1 of 4 pairs: 8.png" in text
+
+
+def test_nothing_there(run: Run, tmp_path: Path) -> None:
+    code, _, err = run(tmp_path / "none", *BOARD, "-o", tmp_path / "out")
+    assert code == 1
+    assert "does not exist: name a folder of pictures, or a bag" in " ".join(err.split())

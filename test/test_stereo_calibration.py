@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration of both cameras and the rig: from the corners that known cameras see, and from real boards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rendered_boards import FISHEYE, RIGS, SIZE, exact_views
+
+from stereo_depth_ros.calibration.board_views import BoardView
+from stereo_depth_ros.calibration.boards import Corners, create_board
+from stereo_depth_ros.calibration.calibration_files import save_calibration
+from stereo_depth_ros.calibration.calibration_result import StereoCalibration
+from stereo_depth_ros.calibration.row_error import match_rows
+from stereo_depth_ros.calibration.stereo_calibration import calibrate
+from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
+from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.io.calibration_yaml import read_camera
+from stereo_depth_ros.io.stereo_pictures import open_pictures
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.view.coverage_picture import coverage_picture
+
+MODELS = list(RIGS)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_exact_corners_give_the_cameras(model: str) -> None:
+    rig = RIGS[model]
+    found = calibrate(exact_views(rig, 14, noise_px=0), model)
+    # Several sets of the rational coefficients are one lens
+    count = 4 if model == "rational_polynomial" else rig.left.size
+    for camera, true in ((found.left, rig.left), (found.right, rig.right)):
+        values = np.array([camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *camera.D])
+        np.testing.assert_allclose(values[:count], true[:count], rtol=1e-4, atol=1e-4)
+        assert camera.rms_px < 1e-4
+    np.testing.assert_allclose(found.R, cv2.Rodrigues(rig.rig[:3])[0], atol=1e-6)
+    np.testing.assert_allclose(found.T, rig.rig[3:], atol=1e-6)
+    assert found.epipolar_rms_px < 1e-3
+    assert not found.dropped
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
+def test_standard_deviations_are_those_of_many_draws(model: str) -> None:
+    """The Jacobian's and the views' own estimate, of which the larger one is told, so that it is a little careful."""
+    draws = [calibrate(exact_views(RIGS[model], 10, 0.2, seed), model) for seed in range(12)]
+    true = RIGS[model]
+    errors = np.array(
+        [[d.left.K[0, 0] - true.left[0], d.right.K[0, 2] - true.right[2], *(d.T - true.rig[3:])] for d in draws]
+    )
+    told = np.array([[d.left.sigmas[0], d.right.sigmas[2], *d.T_sigma_m] for d in draws])
+    share = np.sqrt(np.mean((errors / told) ** 2, axis=0))
+    # Of 12 draws the root mean square is known to 20 %
+    assert (share > 0.3).all()
+    assert (share < 1.5).all()
+    assert np.mean([d.left.rms_px for d in draws]) == pytest.approx(0.2 * np.sqrt(2), rel=0.1)
+
+
+def test_errors_fall_as_the_root_of_the_number() -> None:
+    def error(count: int) -> float:
+        draws = [calibrate(exact_views(FISHEYE, count, 0.2, seed), "equidistant") for seed in range(10)]
+        return float(np.sqrt(np.mean([(d.left.K[0, 0] - FISHEYE.left[0]) ** 2 for d in draws])))
+
+    # The ratio of two deviations of 10 draws is known to 30 %
+    assert error(8) / error(32) == pytest.approx(2, rel=0.6)
+
+
+def moved(view: BoardView, right_px: F64) -> BoardView:
+    right = Corners(view.right.ids, view.right.board_m, view.right.image_px + right_px)
+    return replace(view, right=right)
+
+
+def test_a_view_with_wrong_corners_is_dropped_and_named() -> None:
+    views = exact_views(FISHEYE, 12, 0.1)
+    wrong = np.random.default_rng(4).normal(0, 3, views[5].right.image_px.shape)
+    views[5] = moved(views[5], wrong)
+    found = calibrate(views, "equidistant")
+    assert [view.name for view in found.dropped] == ["view05"]
+    assert "right: reprojection rms" in found.dropped[0].reason
+    assert len(found.views) == 11
+    assert found.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=5e-4)
+
+
+def test_a_view_whose_eyes_were_not_exposed_together_is_dropped_and_named() -> None:
+    """Each eye by itself fits: the board moved between the two pictures."""
+    views, later = exact_views(FISHEYE, 12, 0.1), exact_views(FISHEYE, 12, 0.1, seed=9)
+    views[3] = replace(views[3], right=later[3].right)
+    found = calibrate(views, "equidistant")
+    assert [view.name for view in found.dropped] == ["view03"]
+    assert "moved between the two" in found.dropped[0].reason
+
+
+def test_good_views_are_all_kept() -> None:
+    for seed in range(6):
+        assert not calibrate(exact_views(FISHEYE, 12, 0.3, seed + 20), "equidistant").dropped
+
+
+def test_what_is_too_little() -> None:
+    views = exact_views(FISHEYE, 6, 0.1)
+    with pytest.raises(CalibrationError, match=r"4 views of the board, at least 5 are needed and 20 are good"):
+        calibrate(views[:4], "equidistant")
+    with pytest.raises(ConfigError, match="'fisheye' is none of"):
+        calibrate(views, "fisheye")
+    with pytest.raises(CalibrationError, match=r"view02 is 320x240, view00 is 400x300"):
+        calibrate([*views[:2], replace(views[2], size=(320, 240)), *views[3:]], "equidistant")
+
+
+def test_views_that_are_one_view() -> None:
+    """The same pose over and over determines nothing."""
+    view = exact_views(RIGS["plumb_bob"], 1, 0.0)[0]
+    views = [replace(view, name=f"v{k}") for k in range(8)]
+    with pytest.raises(CalibrationError, match=r"do not determine the cameras|known to .* only|tilt the board"):
+        calibrate(views)
+
+
+def test_exchanged_eyes() -> None:
+    views = [replace(view, left=view.right, right=view.left) for view in exact_views(FISHEYE, 10, 0.1)]
+    with pytest.raises(CalibrationError, match=r"left of the left one: exchange the pictures"):
+        calibrate(views, "equidistant")
+
+
+def test_square_in_millimetres() -> None:
+    views = exact_views(FISHEYE, 10, 0.0)
+    views[0].left.board_m[:] *= 1000  # all views have this array
+    with pytest.raises(CalibrationError, match=r"apart, outside .* given in metres, 25 mm are 0\.025"):
+        calibrate(views, "equidistant")
+
+
+def test_files_are_read_back_as_they_are(tmp_path: Path) -> None:
+    found = calibrate(exact_views(FISHEYE, 10, 0.2), "equidistant")
+    save_calibration(found, tmp_path / "out")
+    for name, camera in (("left", found.rig.left), ("right", found.rig.right)):
+        read = read_camera(tmp_path / "out" / f"{name}.yaml")
+        for field in ("K", "D", "R", "P"):
+            np.testing.assert_array_equal(getattr(read, field), getattr(camera, field))
+        assert (read.width, read.height, read.distortion_model) == (*SIZE, "equidistant")
+    rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
+    assert rig.baseline_m == pytest.approx(found.baseline_m, rel=1e-9)
+    # A fisheye's P has the baseline, and a rotation beside it
+    assert rig.right.P[0, 3] == pytest.approx(-rig.f_px * found.baseline_m, rel=1e-9)
+    report = (tmp_path / "out" / "calibration.txt").read_text()
+    assert "baseline" in report and "+-" in report
+
+
+def test_files_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    found = calibrate(exact_views(FISHEYE, 8, 0.2), "equidistant")
+    with pytest.raises(CalibrationError, match=r"file.*cannot be written .*choose another folder"):
+        save_calibration(found, tmp_path / "file")
+
+
+def test_coverage_picture_shows_corners_and_bars() -> None:
+    found = calibrate(exact_views(FISHEYE, 8, 0.2), "equidistant")
+    picture = coverage_picture(found)
+    assert picture.dtype == np.uint8
+    assert picture.shape[1] > 1100
+    blank = coverage_picture(replace(found, views=found.views[:1]))
+    assert np.count_nonzero((picture != blank).any(axis=2)) > 2000
+
+
+def board_views(folder: Path) -> FoundViews:
+    board = create_board("chessboard", (9, 6), 0.025)
+    return find_views(open_pictures(folder), board, lambda size: create_board("chessboard", size, 0.025))
+
+
+@pytest.fixture(scope="module")
+def chessboard(stereo_data: Path) -> StereoCalibration:
+    return calibrate(board_views(stereo_data / "opencv_samples" / "chessboard_stereo").views)
+
+
+@pytest.mark.real_data
+def test_the_chessboards_of_opencv(chessboard: StereoCalibration) -> None:
+    assert len(chessboard.views) == 13
+    assert max(chessboard.left.rms_px, chessboard.right.rms_px) <= 0.25
+    assert chessboard.rms_stereo_px <= 0.35
+    assert abs(1e3 * chessboard.baseline_m - 83.2) <= 1
+    for camera in (chessboard.left, chessboard.right):
+        assert np.abs(camera.K[[0, 1], [0, 1]] / 534.8 - 1).max() <= 0.01
+    assert chessboard.epipolar_rms_px <= 0.2
+
+
+@pytest.mark.real_data
+def test_the_chessboards_of_opencv_as_opencv_solves_them(stereo_data: Path, chessboard: StereoCalibration) -> None:
+    """The same corners by cv2.stereoCalibrate: the same minimum."""
+    views = board_views(stereo_data / "opencv_samples" / "chessboard_stereo").views
+    board = [view.left.board_m.astype(np.float32) for view in views]
+    left, right = ([getattr(view, eye).image_px.astype(np.float32) for view in views] for eye in ("left", "right"))
+    one, other = (cv2.calibrateCamera(board, eye, (640, 480), None, None)[1:3] for eye in (left, right))
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-12)
+    rms, K, _, K_right, _, R, T, *_ = cv2.stereoCalibrate(
+        board, left, right, *one, *other, (640, 480), flags=flags, criteria=criteria
+    )
+    assert chessboard.rms_stereo_px <= rms * 1.001
+    np.testing.assert_allclose(chessboard.left.K, K, rtol=2e-3)
+    np.testing.assert_allclose(chessboard.right.K, K_right, rtol=2e-3)
+    np.testing.assert_allclose(chessboard.T, T.ravel(), atol=2e-4)
+    np.testing.assert_allclose(chessboard.R, R, atol=1e-3)
+
+
+@pytest.mark.real_data
+def test_a_fisheye_rig(stereo_data: Path) -> None:
+    folder = stereo_data / "stereopi" / "fisheye_v2"
+    found = calibrate(board_views(folder / "pairs").views, "equidistant")
+    assert max(found.left.rms_px, found.right.rms_px, found.rms_stereo_px) <= 0.35
+    assert abs(1e3 * found.baseline_m - 64.6) <= 2
+    # The scene is half as large as the boards were
+    scene = cv2.imread(str(folder / "scenes" / "photo.png"), cv2.IMREAD_GRAYSCALE)
+    assert scene is not None
+    large = cv2.resize(scene, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    matches = match_rows(
+        *(_rectified(np.asarray(large[:, eye * 640 :][:, :640], np.uint8), found.rig, eye) for eye in (0, 1))
+    )
+    assert len(matches) > 200
+    assert matches.median_px <= 0.4
+
+
+def _rectified(picture: U8, rig: StereoRig, eye: int) -> U8:
+    c = (rig.left, rig.right)[eye]
+    maps = cv2.fisheye.initUndistortRectifyMap(c.K, c.D, c.R, c.P[:, :3], (c.width, c.height), cv2.CV_32FC1)
+    return np.asarray(cv2.remap(picture, *maps, cv2.INTER_LINEAR), np.uint8)
