@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from stereo_depth_ros.parallel import compiled, run_bands
 from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F32, U8, Reason
+from stereo_depth_ros.types import F32, F64, U8, Reason
 
 __all__ = ["Triangulation", "depth_from_disparity", "depth_sigma", "millimetres", "pixel_depth", "reject_behind"]
 
@@ -41,6 +41,20 @@ class Triangulation:
     def from_rig(cls, rig: StereoRig) -> Triangulation:
         """That of a rig, for disparities d = x_left - x_right."""
         return cls(rig.f_px, rig.fy_px, rig.cx_left, rig.cy, rig.baseline_m, rig.doffs_px)
+
+    def points(self, left_px: F64, right_px: F64) -> F64:
+        """The points of matches of a rectified pair.
+
+        Args:
+            left_px, right_px: float64 (N, 2), px; of the right ones only x is used.
+
+        Returns:
+            float64 (N, 3): X, Y, Z in the left rectified frame, metres; NaN where the disparity is not above doffs.
+        """
+        x, y = left_px.T
+        d = x - right_px[:, 0] - self.doffs_px
+        depth = self.f_px * self.baseline_m / np.where(d > 0, d, np.nan)
+        return np.stack(((x - self.cx_px) / self.f_px * depth, (y - self.cy_px) / self.fy_px * depth, depth), axis=1)
 
 
 def reject_behind(disparity_px: F32, reasons: U8, doffs_px: float) -> None:

@@ -16,7 +16,16 @@ from stereo_depth_ros.config import STAGE_CONFIGS, parameter_infos
 from stereo_depth_ros.io.bag_info import BagInfo
 from stereo_depth_ros.replay.report import ReplayResult
 
-__all__ = ["evaluation_tables", "info_tables", "info_values", "parameters_table", "parameters_values", "result_tables"]
+__all__ = [
+    "evaluation_tables",
+    "facts_table",
+    "info_tables",
+    "info_values",
+    "parameters_table",
+    "parameters_values",
+    "plain_table",
+    "result_tables",
+]
 
 
 Columns: TypeAlias = Mapping[str, tuple[str, float]]  # title to name and factor of a figure
@@ -60,11 +69,11 @@ def result_tables(result: ReplayResult, picture: Path | None = None) -> Iterator
 
 def info_tables(info: BagInfo) -> Iterator[Table]:
     """What is in a bag: its topics, and its stereo rig where there is one."""
-    topics = _table("topic", "type", "messages:r", "Hz:r")
+    topics = plain_table("topic", "type", "messages:r", "Hz:r")
     for name, topic in info.topics.items():
         topics.add_row(name, topic.msgtype, str(topic.count), f"{topic.rate_hz:.2f}")
     yield topics
-    facts = _facts()
+    facts = facts_table()
     facts.add_row("length", f"{info.duration_s:.3f} s")
     if info.stereo is not None:
         facts.add_row("left", info.stereo.left_image)
@@ -97,7 +106,7 @@ def info_values(info: BagInfo) -> dict[str, Any]:
 
 def parameters_table() -> Table:
     """Every parameter: default, range, meaning."""
-    table = _table("parameter", "default:r", "range", "meaning")
+    table = plain_table("parameter", "default:r", "range", "meaning")
     for stage in STAGE_CONFIGS:
         for info in parameter_infos(stage):
             table.add_row(info.name, str(info.default), info.range_text, info.doc)
@@ -121,7 +130,7 @@ def evaluation_tables(
     yield _scenes_table(rows)
     yield _means_table(rows, "mean errors", _ERRORS)
     yield _means_table(rows, "mean times", _COSTS)
-    facts = _facts()
+    facts = facts_table()
     facts.add_row("bad x", "percent of the matched truth pixels that are wrong by more than x px")
     facts.add_row("all", "pixels without disparity count as wrong; nonocc: only pixels that both eyes see")
     ranges = [row["disparity_range"] for row in rows]
@@ -138,7 +147,7 @@ def evaluation_tables(
 
 def _scenes_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     columns = _SCENE_COLUMNS
-    table = _table("scene", "matcher", *_narrow(columns))
+    table = plain_table("scene", "matcher", *_narrow(columns))
     for row in rows:
         table.add_row(row["scene"], row["matcher"], *(_figure(row[key], factor) for key, factor in columns.values()))
     return table
@@ -146,7 +155,7 @@ def _scenes_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def _means_table(rows: Sequence[Mapping[str, Any]], title: str, columns: Columns) -> Table:
     """Means over the scenes of each method."""
-    table = _table("matcher", "scenes:r", *_narrow(columns), title=title)
+    table = plain_table("matcher", "scenes:r", *_narrow(columns), title=title)
     for matcher in dict.fromkeys(row["matcher"] for row in rows):
         own = [row for row in rows if row["matcher"] == matcher]
         figures = (_figure(_mean(own, key), factor) for key, factor in columns.values())
@@ -172,7 +181,7 @@ def _figure(value: float | None, factor: float) -> str:
 
 
 def _summary_table(result: ReplayResult, picture: Path | None) -> Table:
-    facts = _facts()
+    facts = facts_table()
     facts.add_row("pairs in", str(result.pairs))
     if result.unpaired_left or result.unpaired_right:
         facts.add_row("images without partner", f"left {result.unpaired_left}, right {result.unpaired_right}")
@@ -197,7 +206,7 @@ def _summary_table(result: ReplayResult, picture: Path | None) -> Table:
 
 
 def _outputs_table(result: ReplayResult) -> Table:
-    table = _table(
+    table = plain_table(
         "output", "received:r", "lost:r", "p50 ms:r", "p95 ms:r", title="latency, raw pair sent to output received"
     )
     for topic, stats in result.outputs.items():
@@ -207,13 +216,13 @@ def _outputs_table(result: ReplayResult) -> Table:
 
 
 def _stages_table(result: ReplayResult) -> Table:
-    table = _table("stage", "p50 ms:r", "p95 ms:r", title="time inside the stages")
+    table = plain_table("stage", "p50 ms:r", "p95 ms:r", title="time inside the stages")
     for stage, (p50, p95) in result.stages_ms.items():
         table.add_row(stage, _ms(p50), _ms(p95))
     return table
 
 
-def _table(*columns: str, title: str | None = None) -> Table:
+def plain_table(*columns: str, title: str | None = None) -> Table:
     """A table; a column ending in ":r" is aligned to the right."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for column in columns:
@@ -222,7 +231,8 @@ def _table(*columns: str, title: str | None = None) -> Table:
     return table
 
 
-def _facts() -> Table:
+def facts_table() -> Table:
+    """A table of names and what they are."""
     table = Table(show_header=False, box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(style="dim")
     table.add_column(overflow="fold")

@@ -78,10 +78,7 @@ class FeatureMatches:
 
     def points_m(self, triangulation: Triangulation) -> F64:
         """float64 (N, 3): X, Y, Z in the left rectified frame, metres; NaN where the disparity is not above doffs."""
-        t, d = triangulation, self.disparity_px - triangulation.doffs_px
-        depth = t.f_px * t.baseline_m / np.where(d > 0, d, np.nan)
-        x, y = self.left_xy.T
-        return np.stack(((x - t.cx_px) / t.f_px * depth, (y - t.cy_px) / t.fy_px * depth, depth), axis=1)
+        return triangulation.points(self.left_xy, self.right_xy)
 
 
 class FeatureMatcher:

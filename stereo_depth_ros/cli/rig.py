@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth rig`: what a rig can see, how exactly, and the disparity range that it takes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from stereo_depth_ros.cli.output import messages, show
+from stereo_depth_ros.cli.rig_tables import rig_tables
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.geometry.field_of_view import field_of_view
+from stereo_depth_ros.io.rig_files import read_rig
+from stereo_depth_ros.matching import matcher_from_config
+from stereo_depth_ros.parameter_values import parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.rig_limits import (
+    Precision,
+    depth_errors,
+    depth_range,
+    recommended_search,
+    usual_nearest,
+    whole_depths,
+)
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.view.depth_error_picture import depth_error_picture
+from stereo_depth_ros.view.drawing import save_picture
+
+__all__ = ["rig_command"]
+
+_BASELINES = (0.5, 1.0, 2.0)  # times that of the rig
+_PICTURE_POINTS = 300
+
+
+def rig_command(
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="LEFT.yaml RIGHT.yaml|DIR|BAG", help="Camera files, their folder, or a bag.")
+    ],
+    nearest: Annotated[
+        float | None, typer.Option(metavar="M", help="Nearest distance wanted, metres; an eighth of the width else.")
+    ] = None,
+    max_error: Annotated[
+        float, typer.Option(metavar="PERCENT", help="Depth error, in percent of the depth, that is still of use.")
+    ] = 5.0,
+    matcher: Annotated[str | None, typer.Option(metavar="NAME", help="Method whose disparity step counts.")] = None,
+    param: Annotated[
+        list[str] | None, typer.Option("--param", "-p", metavar="NAME:=VALUE", help="A parameter; may be repeated.")
+    ] = None,
+    params_file: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="ROS parameter file; --param wins over it.")
+    ] = None,
+    left: Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left image topic of the bag.")] = None,
+    right: Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic of the bag.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the depth error over the distance.")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
+    ] = None,
+) -> None:
+    """Say what a rig can see: fields of view, range, depth error at each metre, and the disparity range it takes.
+
+    DIR holds left.yaml and right.yaml in the format of camera_calibration; one of two such files finds its partner
+    beside it. Of a bag the first camera infos are read.
+
+    The search is the recommended one, unless min_disparity or disparity_range is given. The depth error is
+    sigma_Z = Z^2 / (f B) sigma_d with sigma_d = disparity_sigma_px; the step is that of the matcher's disparities.
+    Other baselines are this rig's with everything else as it is.
+
+    \b
+    Examples:
+      stereo-depth rig left.yaml right.yaml
+      stereo-depth rig calibration --nearest 0.4 --max-error 2 --picture error.png
+      stereo-depth rig drive.mcap --param disparity_range:=128 --param disparity_sigma_px:=0.1 --json - | jq .limits
+    """
+    rig = read_rig(paths, left, right)
+    values = {**(read_params_file(params_file) if params_file else {}), **parse_assignments(param or (), matcher)}
+    config = pipeline_config(values)
+    step_px = matcher_from_config(config.matching).step_px
+    precision = Precision(step_px, config.depth.disparity_sigma_px, max_error / 100)
+    nearest_m = usual_nearest(rig) if nearest is None else nearest
+    recommended = recommended_search(rig, nearest_m)
+    given = bool({"min_disparity", "disparity_range"} & values.keys())
+    survey = _Survey(rig, config.matching if given else recommended, precision)
+    result = survey.to_json() | {"recommended": {"nearest_m": nearest_m, **_search_values(recommended)}}
+    if picture is not None:
+        save_picture(picture, survey.picture())
+        result["picture"] = str(picture)
+    show(rig_tables(result, given), result, json_file)
+    own = next(item for item in result["limits"] if item["baseline_factor"] == 1)
+    if own["nearest_m"] >= own["farthest_m"]:
+        messages.print(
+            f"warning: from the nearest distance on, {own['nearest_m']:.3g} m, the error is above {max_error:g} %, "
+            f"which is reached at {own['farthest_m']:.3g} m: search larger disparities (--nearest), or allow more"
+        )
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """All figures of one rig, search and precision."""
+
+    rig: StereoRig
+    search: MatchingConfig
+    precision: Precision
+
+    def to_json(self) -> dict[str, Any]:
+        """Names with units; None for what is infinite or not there."""
+        limits = [self._limits(factor) for factor in _BASELINES]
+        own = limits[_BASELINES.index(1.0)]
+        last_m = min(own["farthest_m"], own["search_end_m"] or math.inf)
+        depths_m = whole_depths(own["nearest_m"], max(last_m, own["nearest_m"]))
+        rig = self.rig
+        return {
+            "cameras": list(rig.topics),
+            "rig": {
+                "width": rig.width,
+                "height": rig.height,
+                "f_px": rig.f_px,
+                "fy_px": rig.fy_px,
+                "baseline_m": rig.baseline_m,
+                "doffs_px": rig.doffs_px,
+            },
+            "field_of_view": {
+                "raw_left": _known(asdict(field_of_view(rig.left))),
+                "raw_right": _known(asdict(field_of_view(rig.right))),
+                "rectified": _known(asdict(field_of_view(rig.left.rectified()))),
+            },
+            "precision": asdict(self.precision),
+            "search": _search_values(self.search),
+            "limits": limits,
+            "depths": [_known(asdict(error)) for error in depth_errors(rig, depths_m, self.precision)],
+        }
+
+    def picture(self) -> Any:
+        """The depth errors of the baselines, as far as the largest of them reaches."""
+        ranges = {factor: depth_range(self.rig, self.search, self.precision, factor) for factor in _BASELINES}
+        last_m = max(min(found.farthest_m, found.search_end_m) for found in ranges.values())
+        depths_m = np.linspace(last_m / _PICTURE_POINTS, last_m, _PICTURE_POINTS)
+        sigma_m, nearest_m = {}, {}
+        for factor, found in ranges.items():
+            name = f"{1e3 * found.baseline_m:.0f} mm"
+            errors = depth_errors(self.rig, depths_m.tolist(), self.precision, factor)
+            sigma_m[name] = np.array([error.sigma_m for error in errors])
+            nearest_m[name] = found.nearest_m
+        title = f"depth error, f {self.rig.f_px:.0f} px, sigma of disparities {self.precision.sigma_px:g} px, baselines"
+        return depth_error_picture(depths_m, sigma_m, nearest_m, self.precision.max_error, title)
+
+    def _limits(self, factor: float) -> dict[str, Any]:
+        return {"baseline_factor": factor, **_known(asdict(depth_range(self.rig, self.search, self.precision, factor)))}
+
+
+def _search_values(search: MatchingConfig) -> dict[str, int]:
+    return {"min_disparity": search.min_disparity, "disparity_range": search.num_disparities}
+
+
+def _known(values: dict[str, float]) -> dict[str, float | None]:
+    """The values, None for those that JSON has no number for."""
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}
