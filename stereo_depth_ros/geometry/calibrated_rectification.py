@@ -1,0 +1,229 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rectification of calibrated cameras: how both are turned so that rows agree, and what of the scene they then show."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from stereo_depth_ros.camera_model import CameraModel, check_intrinsics
+from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.geometry.rays import camera_rays
+from stereo_depth_ros.geometry.relative_pose import RelativePose
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import F64
+
+__all__ = ["METHODS", "Area", "common_area", "rectify_calibrated", "rectifying_rotations"]
+
+METHODS = ("textbook", "opencv")
+MAX_TILT_DEG = 45.0  # of the baseline against the rows; beyond, the picture is turned upside down rather than rectified
+_EDGE_POINTS = 33
+_INSET_PX = 0.05  # rectified pixels are made of whole raw ones though the maps are rounded to 1/32 px
+
+
+class Area(NamedTuple):
+    """A rectangle of rectified pixels: first column and row, number of columns and rows."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+def rectify_calibrated(
+    left: CameraModel,
+    right: CameraModel,
+    pose: RelativePose,
+    *,
+    method: str = "textbook",
+    alpha: float = 0.0,
+    max_fov_deg: float = 120.0,
+    zero_disparity: bool = True,
+) -> StereoRig:
+    """The rectified rig of two cameras, of whose R and P nothing is used.
+
+    "textbook" turns the left camera so that its epipole goes to infinity along the rows, with the new y axis at right
+    angles to the old optical axis, and the right camera by the same rotation after the pose's (Trucco and Verri,
+    Introductory Techniques for 3-D Computer Vision, 1998, section 7.3.7; Fusiello, Trucco and Verri 2000). "opencv" is
+    ``cv2.stereoRectify``, or ``cv2.fisheye.stereoRectify``, which turns each eye by half the rotation between them.
+
+    Args:
+        left, right: K, D and size, raw.
+        pose: of the right camera, t in metres.
+        method: "textbook" or "opencv".
+        alpha: 0 shows only pixels that have a source in the raw pictures, 1 all raw pixels, between is between; for
+            fisheyes known as balance.
+        max_fov_deg: what is seen further than half of that from the axis is left out, as a flat picture of it would
+            take most of the pixels; textbook.
+        zero_disparity: points at infinity have disparity 0; False lets each eye look at what it sees most of, so that
+            eyes that are turned towards each other have more in common; textbook.
+
+    Raises:
+        ConfigError: an unknown method, or a parameter out of its range.
+        CalibrationError: cameras that cannot be, a pose up to scale, a baseline that does not lie along the rows, or
+            a baseline out of range.
+    """
+    _check_parameters(method, alpha, max_fov_deg)
+    for camera, label in ((left, "left camera"), (right, "right camera")):
+        check_intrinsics(camera, label)
+    R_left, R_right = rectifying_rotations(pose)
+    if pose.up_to_scale:
+        raise CalibrationError("the pose is known up to scale, P takes metres: measure the baseline, and scale t by it")
+    if method == "opencv":
+        return StereoRig.from_calibration(
+            left.K, left.D, right.K, right.D, pose.R, pose.t, _size(left), left.distortion_model, left.frame_id, alpha
+        )
+    cameras = (replace(left, R=R_left), replace(right, R=R_right))
+    outlines = [_Outline.of(camera, math.radians(max_fov_deg) / 2) for camera in cameras]
+    if zero_disparity:
+        outlines = [outlines[0].together(outlines[1])] * 2
+    f_px, centres = _intrinsics(outlines, _size(left), alpha)
+    baselines_m = (0.0, float(np.linalg.norm(pose.t)))
+    P_left, P_right = (
+        np.array([[f_px, 0, cx, -f_px * baseline_m], [0, f_px, cy, 0], [0, 0, 1, 0]])
+        for (cx, cy), baseline_m in zip(centres, baselines_m, strict=True)
+    )
+    return StereoRig(replace(cameras[0], P=P_left), replace(cameras[1], P=P_right))
+
+
+def rectifying_rotations(pose: RelativePose) -> tuple[F64, F64]:
+    """R of both eyes, float64 (3, 3): the rows e1 along the baseline, e2 = z x e1 of length 1, e3 = e1 x e2.
+
+    Raises:
+        CalibrationError: the right camera is not to the right of the left one, give or take 45 degrees.
+    """
+    T = pose.right_centre
+    e1 = T / np.linalg.norm(T)
+    _check_direction(e1)
+    e2 = np.array([-e1[1], e1[0], 0.0]) / math.hypot(e1[0], e1[1])
+    R_left: F64 = np.stack((e1, e2, np.cross(e1, e2)))
+    return R_left, R_left @ pose.R.T
+
+
+def common_area(rig: StereoRig) -> Area:
+    """The pixels, a rectangle of the same rows and columns in both, of which both rectified pictures have a source.
+
+    Empty (width or height 0) where they have none in common. Lenses whose pictures bulge have a little more than that.
+    """
+    x0, y0, x1, y1 = 0.0, 0.0, rig.width - 1.0, rig.height - 1.0
+    for camera in (rig.left, rig.right):
+        inner = _Outline.of(camera, math.pi / 2 - 1e-3).inner
+        fx, fy, cx, cy = camera.P[0, 0], camera.P[1, 1], camera.P[0, 2], camera.P[1, 2]
+        x0, x1 = max(x0, fx * inner.x0 + cx), min(x1, fx * inner.x1 + cx)
+        y0, y1 = max(y0, fy * inner.y0 + cy), min(y1, fy * inner.y1 + cy)
+    x, y = math.ceil(x0), math.ceil(y0)
+    return Area(x, y, max(0, math.floor(x1) - x + 1), max(0, math.floor(y1) - y + 1))
+
+
+class _Rectangle(NamedTuple):
+    """Ranges of x / z and y / z in the rectified camera."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+
+class _Outline(NamedTuple):
+    """What the raw picture covers in the rectified camera.
+
+    Attributes:
+        inner: lies within the raw picture.
+        outer: holds all of it.
+    """
+
+    inner: _Rectangle
+    outer: _Rectangle
+
+    @classmethod
+    def of(cls, camera: CameraModel, limit_rad: float) -> _Outline:
+        """Of a camera by its R, as far as this angle from the rectified axis."""
+        left, right = _INSET_PX, camera.width - 1 - _INSET_PX
+        top, bottom = _INSET_PX, camera.height - 1 - _INSET_PX
+        along_x, along_y = np.linspace(left, right, _EDGE_POINTS), np.linspace(top, bottom, _EDGE_POINTS)
+        edges = [
+            np.column_stack(np.broadcast_arrays(x, y))
+            for x, y in ((left, along_y), (along_x, top), (right, along_y), (along_x, bottom))
+        ]
+        west, north, east, south = (_flat(camera_rays(edge, camera) @ camera.R.T, limit_rad) for edge in edges)
+        points = np.concatenate((west, north, east, south))
+        inner = np.nanmax(west[:, 0]), np.nanmax(north[:, 1]), np.nanmin(east[:, 0]), np.nanmin(south[:, 1])
+        outer = (*np.nanmin(points, axis=0), *np.nanmax(points, axis=0))
+        return cls(_Rectangle(*map(float, inner)), _Rectangle(*map(float, outer)))
+
+    def together(self, other: _Outline) -> _Outline:
+        """What is within both, and what holds both."""
+        (a, b), (c, d) = self, other
+        inner = _Rectangle(max(a.x0, c.x0), max(a.y0, c.y0), min(a.x1, c.x1), min(a.y1, c.y1))
+        outer = _Rectangle(min(b.x0, d.x0), min(b.y0, d.y0), max(b.x1, d.x1), max(b.y1, d.y1))
+        return _Outline(inner, outer)
+
+
+def _flat(rays: F64, limit_rad: float) -> F64:
+    """float64 (N, 2), x / z and y / z; rays further from the axis than the limit are brought to it."""
+    across = np.hypot(rays[:, 0], rays[:, 1])
+    angle = np.minimum(np.arctan2(across, rays[:, 2]), limit_rad)
+    flat: F64 = rays[:, :2] * (np.tan(angle) / np.maximum(across, 1e-12))[:, None]
+    return flat
+
+
+def _intrinsics(
+    outlines: list[_Outline], size: tuple[int, int], alpha: float
+) -> tuple[float, list[tuple[float, float]]]:
+    """Focal length and principal points of rectified pictures of this size, between their inner and outer outlines."""
+    inner_px, inner = _fitted([outline.inner for outline in outlines], size, within=True)
+    outer_px, outer = _fitted([outline.outer for outline in outlines], size, within=False)
+    f_px = (1 - alpha) * inner_px + alpha * outer_px
+    middles = (1 - alpha) * inner + alpha * outer
+    return f_px, [((size[0] - 1) / 2 - f_px * x, (size[1] - 1) / 2 - f_px * y) for x, y in middles]
+
+
+def _fitted(rectangles: list[_Rectangle], size: tuple[int, int], within: bool) -> tuple[float, F64]:
+    """Focal length at which pictures lie within their rectangles, or show all of them, and the middles of these."""
+    x0, y0, x1, y1 = np.array(rectangles).T
+    top, bottom = (y0.max(), y1.min()) if within else (y0.min(), y1.max())
+    across = (x1 - x0).min() if within else (x1 - x0).max()
+    if across <= 0 or bottom <= top:
+        raise CalibrationError(
+            "the rectified pictures have nothing in common: the cameras look past each other, check R of the pose, or "
+            "that it is of these cameras"
+        )
+    scales = (size[0] - 1) / across, (size[1] - 1) / (bottom - top)
+    middles = np.column_stack(((x0 + x1) / 2, np.full(len(x0), (top + bottom) / 2)))
+    return float(max(scales) if within else min(scales)), middles
+
+
+def _size(camera: CameraModel) -> tuple[int, int]:
+    return camera.width, camera.height
+
+
+def _check_parameters(method: str, alpha: float, max_fov_deg: float) -> None:
+    if method not in METHODS:
+        raise ConfigError(f"method {method!r} is none of {', '.join(METHODS)}: take one of them")
+    if not 0 <= alpha <= 1:
+        raise ConfigError(f"alpha = {alpha:g} is outside 0..1: 0 shows valid pixels only, 1 all raw pixels")
+    if not 10 <= max_fov_deg <= 170:
+        raise ConfigError(
+            f"max_fov_deg = {max_fov_deg:g} is outside 10..170: a flat picture shows less than 180 degrees"
+        )
+
+
+def _check_direction(e1: F64) -> None:
+    tilt_deg = math.degrees(math.acos(np.clip(e1[0], -1, 1)))
+    if tilt_deg <= MAX_TILT_DEG:
+        return
+    where = f"the right camera is {tilt_deg:.1f} degrees off the left one's x axis, limit {MAX_TILT_DEG:g}"
+    if tilt_deg >= 180 - MAX_TILT_DEG:
+        raise CalibrationError(f"{where}: left and right are swapped, exchange them")
+    if abs(e1[2]) > abs(e1[1]):
+        raise CalibrationError(
+            f"{where}, ahead or behind: its epipole is in the picture or near to it, and no turn makes the rows agree: "
+            "mount the cameras side by side"
+        )
+    raise CalibrationError(
+        f"{where}, above or below: rotate the pictures by 90 degrees and calibrate them as left and right"
+    )

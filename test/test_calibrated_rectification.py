@@ -1,0 +1,232 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rectification of calibrated cameras: rows of points that are known, what the pictures show, OpenCV, real pairs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo_depth_ros.camera_model import CameraModel
+from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.geometry.calibrated_rectification import (
+    METHODS,
+    Area,
+    common_area,
+    rectify_calibrated,
+    rectifying_rotations,
+)
+from stereo_depth_ros.geometry.correspondences import match_features
+from stereo_depth_ros.geometry.rays import camera_rays
+from stereo_depth_ros.geometry.relative_pose import RelativePose
+from stereo_depth_ros.io.datasets.euroc import EurocDataset
+from stereo_depth_ros.rectification import Rectifier
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import F64, StereoPair
+
+SIZE = (620, 460)
+POSE = RelativePose(cv2.Rodrigues(np.array([0.03, -0.08, 0.05]))[0], np.array([-0.31, 0.04, 0.03]))
+_LENSES = {
+    "plumb_bob": (455.0, [-0.2, 0.05, 0.001, -0.0007, 0.01], [-0.17, 0.03, -0.0004, 0.0009, 0.02]),
+    "equidistant": (230.0, [-0.03, 0.01, -0.006, 0.001], [-0.02, 0.005, -0.004, 0.001]),
+}
+
+
+def cameras(model: str) -> tuple[CameraModel, CameraModel]:
+    f, *D = _LENSES[model]
+    K = (
+        np.array([[f, 0, 301], [0, 1.02 * f, 238], [0, 0, 1]]),
+        np.array([[1.04 * f, 0, 322], [0, 1.03 * f, 219], [0, 0, 1]]),
+    )
+    left, right = (
+        CameraModel(*SIZE, model, k, np.array(d), np.eye(3), np.eye(3, 4)) for k, d in zip(K, D, strict=True)
+    )
+    return left, right
+
+
+def seen(points_m: F64, rig: StereoRig) -> tuple[F64, F64]:
+    """Points of the raw left camera in both rectified pictures, px; of the right one by its own pose and P."""
+    left = (points_m @ rig.left.R.T) @ rig.left.P[:, :3].T
+    right_m = (points_m @ POSE.R.T + POSE.t) @ rig.right.R.T
+    right = right_m @ rig.right.P[:, :3].T
+    return left[:, :2] / left[:, 2:], right[:, :2] / right[:, 2:]
+
+
+@pytest.mark.parametrize("model", _LENSES)
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("alpha", [0.0, 0.6])
+def test_rows_agree_and_disparities_give_the_depth(model: str, method: str, alpha: float) -> None:
+    rig = rectify_calibrated(*cameras(model), POSE, method=method, alpha=alpha)
+    points = np.random.default_rng(1).uniform((-2, -1.5, 2), (2, 1.5, 9), (50, 3))
+    left, right = seen(points, rig)
+    np.testing.assert_allclose(left[:, 1], right[:, 1], atol=1e-9)
+    depth = rig.f_px * rig.baseline_m / (left[:, 0] - right[:, 0] - rig.doffs_px)
+    np.testing.assert_allclose(depth, (points @ rig.left.R.T)[:, 2], rtol=1e-9)
+    assert rig.baseline_m == pytest.approx(np.linalg.norm(POSE.t))
+
+
+def test_the_pose_of_the_rig_is_the_one_given() -> None:
+    pose = RelativePose.from_rig(rectify_calibrated(*cameras("plumb_bob"), POSE))
+    np.testing.assert_allclose(pose.R, POSE.R, atol=1e-12)
+    np.testing.assert_allclose(pose.t, POSE.t, atol=1e-12)
+
+
+def test_rotations_are_the_textbook_s() -> None:
+    R_left, R_right = rectifying_rotations(POSE)
+    T = POSE.right_centre
+    np.testing.assert_allclose(R_left @ T / np.linalg.norm(T), [1, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(R_left @ R_left.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(R_right, R_left @ POSE.R.T)
+    assert abs(R_left[1] @ [0, 0, 1]) < 1e-15  # the new y axis is at right angles to the old optical axis
+
+
+def test_it_is_opencv_s_up_to_a_turn_about_the_baseline() -> None:
+    """Of that, nothing can be seen in the rows."""
+    ours, theirs = (rectify_calibrated(*cameras("plumb_bob"), POSE, method=method) for method in METHODS)
+    between = ours.left.R @ theirs.left.R.T
+    np.testing.assert_allclose(between[0], [1, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(ours.right.R @ theirs.right.R.T, between, atol=1e-9)
+
+
+@pytest.mark.parametrize("model", _LENSES)
+@pytest.mark.parametrize("zero_disparity", [True, False])
+def test_alpha_0_shows_valid_pixels_only(model: str, zero_disparity: bool) -> None:
+    rig = rectify_calibrated(*cameras(model), POSE, zero_disparity=zero_disparity)
+    rectifier = Rectifier(rig)
+    assert rectifier.left_source.all()
+    assert rectifier.right_source.all()
+    assert common_area(rig) == Area(0, 0, *SIZE)
+    if model == "plumb_bob":  # it is not simply small: in one direction the picture is used up
+        larger = Rectifier(replace_focal(rig, 0.98))
+        assert not (larger.left_source.all() and larger.right_source.all())
+
+
+def replace_focal(rig: StereoRig, factor: float) -> StereoRig:
+    """The rig that shows a little more."""
+    factors = np.array([[factor, 1, 1, factor], [1, factor, 1, 1], [1, 1, 1, 1]])
+    left, right = (replace(eye, P=eye.P * factors) for eye in (rig.left, rig.right))
+    return StereoRig(left, right)
+
+
+@pytest.mark.parametrize("zero_disparity", [True, False])
+def test_alpha_1_shows_all_raw_pixels(zero_disparity: bool) -> None:
+    rig = rectify_calibrated(*cameras("plumb_bob"), POSE, alpha=1, zero_disparity=zero_disparity)
+    touched = []
+    for eye in (rig.left, rig.right):
+        x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, SIZE[0] - 1, 40), np.linspace(0, SIZE[1] - 1, 30)))
+        rays = camera_rays(np.column_stack((x, y)), eye) @ eye.R.T @ eye.P[:, :3].T
+        pixels = rays[:, :2] / rays[:, 2:]
+        assert (pixels > -0.5).all()
+        assert (pixels < np.array(SIZE) - 0.5).all()
+        touched += [
+            pixels[:, 0].min(),
+            pixels[:, 1].min(),
+            SIZE[0] - 1 - pixels[:, 0].max(),
+            SIZE[1] - 1 - pixels[:, 1].max(),
+        ]
+    assert min(touched) < 1  # no larger than needed
+    assert not Rectifier(rig).left_source.all()
+
+
+def test_alpha_is_between() -> None:
+    focal = [rectify_calibrated(*cameras("plumb_bob"), POSE, alpha=alpha).f_px for alpha in (0, 0.3, 1)]
+    assert focal[0] > focal[1] > focal[2]
+    assert focal[1] == pytest.approx(0.7 * focal[0] + 0.3 * focal[2])
+
+
+def test_field_of_view_of_a_fisheye_is_limited() -> None:
+    """With all of it in the picture the edges are seen at half of the limit."""
+    eyes = cameras("equidistant")
+    narrow, wide = (rectify_calibrated(*eyes, POSE, alpha=1, max_fov_deg=degrees) for degrees in (90, 140))
+    assert narrow.f_px > 1.5 * wide.f_px
+    corner_deg = np.degrees(np.arctan(np.hypot(narrow.width / 2, narrow.height / 2) / narrow.f_px))
+    assert corner_deg >= 45
+
+
+def test_without_zero_disparity_verged_eyes_have_more_in_common() -> None:
+    """Eyes turned towards each other by 14 degrees."""
+    pose = RelativePose(cv2.Rodrigues(np.array([0.0, 0.25, 0.0]))[0], POSE.t)
+    same, own = (rectify_calibrated(*cameras("plumb_bob"), pose, zero_disparity=zero) for zero in (True, False))
+    assert same.doffs_px == 0
+    assert abs(own.doffs_px) > 50
+    assert own.f_px < 0.9 * same.f_px
+    assert Rectifier(own).left_source.all()
+
+
+def test_common_area_is_valid_in_both() -> None:
+    rig = rectify_calibrated(*cameras("plumb_bob"), POSE, alpha=0.8)
+    area = common_area(rig)
+    both = Rectifier(rig).left_source & Rectifier(rig).right_source
+    assert both[area.y : area.y + area.height, area.x : area.x + area.width].all()
+    assert area.width * area.height > 0.7 * both.sum()
+    assert not both.all()
+
+
+def test_rays_come_back_to_their_pixels() -> None:
+    for eye in (*cameras("plumb_bob"), *cameras("equidistant")):
+        pixels = np.random.default_rng(0).uniform((0, 0), SIZE, (50, 2))
+        rays = camera_rays(pixels, eye)
+        np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1)
+        front = rays[:, 2] > 0.1
+        project = cv2.fisheye.projectPoints if eye.distortion_model == "equidistant" else cv2.projectPoints
+        back = project(rays[front][:, None], np.zeros(3), np.zeros(3), eye.K, eye.D)[0].reshape(-1, 2)
+        np.testing.assert_allclose(back, pixels[front], atol=1e-3)
+        assert front.sum() > 40
+
+
+@pytest.mark.parametrize(
+    ("t", "text"),
+    [
+        ([0.3, 0.02, 0.0], "left and right are swapped"),
+        ([-0.1, 0.02, 0.4], "its epipole is in the picture or near to it"),
+        ([-0.1, 0.4, 0.02], "above or below: rotate the pictures by 90 degrees"),
+    ],
+)
+def test_baselines_that_no_turn_makes_horizontal(t: list[float], text: str) -> None:
+    for method in METHODS:
+        with pytest.raises(CalibrationError, match=rf"limit 45.*{text}"):
+            rectify_calibrated(*cameras("plumb_bob"), RelativePose(np.eye(3), np.array(t)), method=method)
+
+
+def test_what_cannot_be() -> None:
+    eyes = cameras("plumb_bob")
+    with pytest.raises(ConfigError, match="'bouguet' is none of textbook, opencv"):
+        rectify_calibrated(*eyes, POSE, method="bouguet")
+    with pytest.raises(ConfigError, match=r"alpha = 1\.5 is outside 0\.\.1"):
+        rectify_calibrated(*eyes, POSE, alpha=1.5)
+    with pytest.raises(ConfigError, match=r"max_fov_deg = 180 is outside 10\.\.170"):
+        rectify_calibrated(*eyes, POSE, max_fov_deg=180)
+    with pytest.raises(CalibrationError, match="known up to scale, P takes metres"):
+        rectify_calibrated(*eyes, RelativePose(POSE.R, POSE.t, up_to_scale=True))
+    with pytest.raises(CalibrationError, match=r"baseline 310\.\d+ m is outside"):
+        rectify_calibrated(*eyes, RelativePose(POSE.R, 990 * POSE.t))
+    aside = RelativePose(
+        cv2.Rodrigues(np.array([0, 1.3, 0.0]))[0], cv2.Rodrigues(np.array([0, 1.3, 0.0]))[0] @ [-0.3, 0, 0]
+    )
+    with pytest.raises(CalibrationError, match="nothing in common: the cameras look past each other"):
+        rectify_calibrated(*eyes, aside)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("method", METHODS)
+def test_rows_of_euroc(stereo_data: Path, method: str) -> None:
+    """Median row error of 12.8 px before and at most 0.15 px after, with the published calibration."""
+    dataset = EurocDataset(stereo_data / "euroc" / "V1_01_micro")
+    rig = rectify_calibrated(dataset.rig.left, dataset.rig.right, RelativePose.from_rig(dataset.rig), method=method)
+    rectifier = Rectifier(rig)
+    before: list[F64] = []
+    after: list[F64] = []
+    for frame in list(dataset)[::6]:
+        rectified = rectifier.rectify(StereoPair(frame.left, frame.right))
+        raw, straight = (
+            match_features(frame.left.pixels, frame.right.pixels),
+            match_features(rectified.left, rectified.right),
+        )
+        for errors, matches in ((before, raw), (after, straight)):
+            errors.append(np.abs(matches.left_px[:, 1] - matches.right_px[:, 1]))
+    assert np.median(np.concatenate(before)) == pytest.approx(12.8, abs=1)
+    assert np.median(np.concatenate(after)) <= 0.15
