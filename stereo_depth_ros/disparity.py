@@ -18,6 +18,7 @@ from stereo_depth_ros.rectification import Rectifier
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.swapped_eyes import EyeOrder
 from stereo_depth_ros.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.uncalibrated_rig import UncalibratedRig
 
 __all__ = ["DisparityStage"]
 
@@ -27,16 +28,17 @@ class DisparityStage:
 
     Args:
         config: the matcher and its parameters.
-        rig: the cameras; their calibration says where a rectified image has pixels.
+        rig: the cameras; their calibration says where a rectified image has pixels. Without one that tells infinity,
+            all disparities searched may be those of points in front.
 
     Raises:
         ConfigError: the parameters contradict each other.
     """
 
-    def __init__(self, config: MatchingConfig, rig: StereoRig) -> None:
+    def __init__(self, config: MatchingConfig, rig: StereoRig | UncalibratedRig) -> None:
         self._matcher = matcher_from_config(config)
         self._doffs_px = rig.doffs_px
-        self._eye_order = EyeOrder(rig.doffs_px)
+        self._eye_order = EyeOrder(rig.doffs_px) if rig.metric else None
         rectifier = Rectifier(rig)
         sources = [_eroded(s, config.correlation_window_size) for s in (rectifier.left_source, rectifier.right_source)]
         self._sources = None if all(source.all() for source in sources) else sources
@@ -54,7 +56,8 @@ class DisparityStage:
         Raises:
             ImageError: sizes that differ, images too small for the search, or eyes that are swapped.
         """
-        self._eye_order.check(left, right, exchange)
+        if self._eye_order is not None:
+            self._eye_order.check(left, right, exchange)
         result = self._matcher.match(left, right)
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)
         if self._sources is not None:

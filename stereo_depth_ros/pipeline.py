@@ -13,10 +13,12 @@ import numpy as np
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.depth import Triangulation, depth_from_disparity, depth_sigma
 from stereo_depth_ros.disparity import DisparityStage
+from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.point_cloud import CloudLayout, pack_points
 from stereo_depth_ros.rectification import Rectifier
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import F32, U8, MatchResult, RectifiedPair, StereoPair
+from stereo_depth_ros.uncalibrated_rig import UncalibratedRig
 
 __all__ = ["StereoPipeline", "StereoResult"]
 
@@ -26,13 +28,13 @@ class StereoPipeline:
 
     Args:
         config: parameters of all stages.
-        rig: the cameras.
+        rig: the cameras; with an uncalibrated one the path ends with disparities.
 
     Raises:
         ConfigError, CalibrationError: what cannot work, before the first frame.
     """
 
-    def __init__(self, config: PipelineConfig, rig: StereoRig) -> None:
+    def __init__(self, config: PipelineConfig, rig: StereoRig | UncalibratedRig) -> None:
         self.config = config
         self.rig = rig
         self._rectifier = Rectifier(rig)
@@ -72,7 +74,7 @@ class StereoResult:
     pair: StereoPair
     rectified: RectifiedPair
     disparity: MatchResult
-    rig: StereoRig
+    rig: StereoRig | UncalibratedRig
     config: PipelineConfig
     timings_ms: dict[str, float] = field(default_factory=dict)
 
@@ -86,10 +88,29 @@ class StereoResult:
         """The left optical frame."""
         return self.pair.left.frame_id
 
+    @property
+    def metric(self) -> bool:
+        """Whether the disparities tell depth; without a calibrated rig they do not."""
+        return self.rig.metric
+
+    @property
+    def calibrated_rig(self) -> StereoRig:
+        """The rig where it is a calibrated one.
+
+        Raises:
+            CalibrationError: it is not; so do all that follow from it.
+        """
+        if isinstance(self.rig, UncalibratedRig):
+            raise CalibrationError(
+                "the rig is not calibrated: its disparities tell what is nearer, no depth in metres: calibrate both "
+                "cameras together and take a StereoRig"
+            )
+        return self.rig
+
     @cached_property
     def triangulation(self) -> Triangulation:
         """What turns the disparities into points."""
-        return Triangulation.from_rig(self.rig)
+        return Triangulation.from_rig(self.calibrated_rig)
 
     @cached_property
     def depth_m(self) -> F32:

@@ -15,6 +15,7 @@ from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.io.image_message import to_gray
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import U8, RectifiedPair, StereoPair
+from stereo_depth_ros.uncalibrated_rig import UncalibratedRig
 
 __all__ = ["Rectifier"]
 
@@ -29,7 +30,7 @@ class Rectifier:
         rig: raw cameras (K, D) and rectified ones (R, P).
     """
 
-    def __init__(self, rig: StereoRig) -> None:
+    def __init__(self, rig: StereoRig | UncalibratedRig) -> None:
         self.rig = rig
         self._left_maps = _build_maps(rig.left)
         self._right_maps = _build_maps(rig.right)

@@ -39,6 +39,8 @@ class StereoRig:
     right: CameraModel
     topics: tuple[str, str] = ("left", "right")
 
+    metric = True
+
     def __post_init__(self) -> None:
         for camera, label in zip((self.left, self.right), self._labels(), strict=True):
             check_intrinsics(camera, label)

@@ -60,7 +60,9 @@ class ResultMessages:
     def disparity(self, result: StereoResult) -> Any:
         """The DisparityImage."""
         matching = result.config.matching
-        return match_message(self._types, self._pool, result.disparity, matching, result.rig, result.pair.left)
+        return match_message(
+            self._types, self._pool, result.disparity, matching, result.calibrated_rig, result.pair.left
+        )
 
     def depth(self, result: StereoResult) -> Any:
         """The depth image, metres or millimetres as configured."""

@@ -104,11 +104,7 @@ class _Engine:
         self._messages = ResultMessages(self._types)
         self._infos: tuple[bytes, bytes] | None = None
         self._pipeline: StereoPipeline | None = None
-
-    @property
-    def rig(self) -> StereoRig | None:
-        """The rig of the newest pair."""
-        return self._pipeline.rig if self._pipeline else None
+        self.rig: StereoRig | None = None  # of the newest pair
 
     def process(self, pair: SerializedPair, compressed: bool, writer: BagWriter) -> dict[str, float]:
         """Compute a pair and write its messages; milliseconds a stage."""
@@ -133,6 +129,7 @@ class _Engine:
         infos = (pair.left_info[_AFTER_STAMP:], pair.right_info[_AFTER_STAMP:])
         if self._pipeline is None or infos != self._infos:
             messages = [self._types.deserialize(info, _INFO_TYPE) for info in (pair.left_info, pair.right_info)]
-            self._pipeline = StereoPipeline(self._config, StereoRig.from_infos(*messages))
+            self.rig = StereoRig.from_infos(*messages)
+            self._pipeline = StereoPipeline(self._config, self.rig)
             self._infos = infos
         return self._pipeline

@@ -1,0 +1,238 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rectifying homographies from the fundamental matrix alone, with the least distortion (Loop and Zhang 1999).
+
+C. Loop and Z. Zhang, "Computing Rectifying Homographies for Stereo Vision", CVPR 1999. A homography is taken apart into
+one that moves the epipole to infinity (projective), one that turns it into the rows (similarity), and one that changes
+columns only (shearing); each part does as little harm as it can.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.geometry.epipolar import epipoles, homogeneous
+from stereo_depth_ros.types import F64
+
+__all__ = ["Shape", "UncalibratedRectification", "rectify_uncalibrated", "shape_under"]
+
+_ANGLES = 720  # of z, over half a turn, among which the least distortion is looked for first
+_MARGIN = 0.05  # of the picture's size, that an epipole keeps from its border
+_MAX_STRETCH = 4.0  # between two places of the picture, by the projective part
+
+
+class Shape(NamedTuple):
+    """What a homography does to the midlines of a picture; (90, 1) is what the shearing part asks for.
+
+    Attributes:
+        angle_deg: between the images of the horizontal and the vertical midline.
+        aspect: ratio of their lengths, over that of the picture.
+    """
+
+    angle_deg: float
+    aspect: float
+
+
+@dataclass(frozen=True, eq=False)
+class UncalibratedRectification:
+    """Two homographies that make the rows of two pictures agree.
+
+    Attributes:
+        H_left, H_right: float64 (3, 3), from pixels (without distortion) to pixels of the rectified picture.
+        size: width, height of both rectified pictures, px.
+        distortion: of both pictures, what the projective parts leave of Loop and Zhang's criterion (equation 11); 0 is
+            none.
+        shape_left, shape_right: what the whole homographies do to the midlines.
+    """
+
+    H_left: F64
+    H_right: F64
+    size: tuple[int, int]
+    distortion: float
+    shape_left: Shape
+    shape_right: Shape
+
+    def rectified(self, left_px: F64, right_px: F64) -> tuple[F64, F64]:
+        """Where points without distortion, float64 (N, 2) each, are in the rectified pictures."""
+        left, right = (
+            np.asarray(cv2.perspectiveTransform(points[:, None], H)[:, 0], np.float64)
+            for points, H in ((left_px, self.H_left), (right_px, self.H_right))
+        )
+        return left, right
+
+
+def rectify_uncalibrated(
+    F: F64, left_size: tuple[int, int], right_size: tuple[int, int] | None = None
+) -> UncalibratedRectification:
+    """The homographies of two pictures of which the fundamental matrix is known and nothing else.
+
+    Both rectified pictures have the size of the left one; together they keep the area of the raw ones, and the middle
+    of each is in the middle column. Disparities have any sign, and no metres.
+
+    Args:
+        F: float64 (3, 3), x_right^T F x_left = 0, for pixels without distortion.
+        left_size, right_size: width, height of the pictures, px; the right one as the left one where it is None.
+
+    Raises:
+        CalibrationError: no fundamental matrix, or an epipole in a picture or near to it.
+    """
+    sizes = (left_size, right_size or left_size)
+    F = _checked(F)
+    for epipole, size, eye in zip(epipoles(F), sizes, ("left", "right"), strict=True):
+        _check_epipole(epipole, size, eye)
+    # In coordinates from the middle of each picture no number is large
+    to_middle = [_to_middle(size) for size in sizes]
+    centred = np.linalg.inv(to_middle[1]).T @ F @ np.linalg.inv(to_middle[0])
+    z, distortion = _least_distortion(centred, sizes)
+    lines = _vanishing_lines(centred, z)
+    for line, size, eye in zip(lines, sizes, ("left", "right"), strict=True):
+        _check_stretch(line, size, eye)
+    projective = [_projective(line) for line in lines]
+    similarity = _similarities(centred, *lines)
+    turned = [s @ p @ m for s, p, m in zip(similarity, projective, to_middle, strict=True)]
+    H_left, H_right = _placed([_shear(H, size) @ H for H, size in zip(turned, sizes, strict=True)], sizes)
+    shapes = [shape_under(H, size) for H, size in zip((H_left, H_right), sizes, strict=True)]
+    return UncalibratedRectification(H_left, H_right, left_size, distortion, shapes[0], shapes[1])
+
+
+def shape_under(H: F64, size: tuple[int, int]) -> Shape:
+    """What a homography, float64 (3, 3), does to the midlines of a picture of this size (width, height)."""
+    x, y = _midlines(H, size)
+    angle = np.degrees(np.arctan2(abs(x[0] * y[1] - x[1] * y[0]), x @ y))
+    return Shape(float(angle), float(np.hypot(*x) / np.hypot(*y) * size[1] / size[0]))
+
+
+def _checked(F: F64) -> F64:
+    singular = np.linalg.svd(F, compute_uv=False) if F.shape == (3, 3) and np.isfinite(F).all() else np.zeros(3)
+    if not singular[1] > 1e-9 * singular[0] or singular[2] > 1e-3 * singular[1]:
+        raise CalibrationError(
+            f"singular values {singular.tolist()} are not those of a fundamental matrix, which has rank 2: estimate it "
+            "from matches"
+        )
+    return F / np.linalg.norm(F)
+
+
+def _check_epipole(epipole: F64, size: tuple[int, int], eye: str) -> None:
+    x, y, w = epipole
+    if w < 1e-12:
+        return
+    at = np.array([x, y]) / w
+    margin = _MARGIN * np.array(size)
+    if (at >= -margin).all() and (at <= size + margin).all():
+        raise CalibrationError(
+            f"the {eye} epipole is at ({at[0]:.0f}, {at[1]:.0f}) px, in the picture of {size[0]}x{size[1]} px or "
+            f"within {100 * _MARGIN:g} % of it: epipolar lines meet there and no homography makes them rows: move the "
+            "camera sideways, not forwards"
+        )
+
+
+def _to_middle(size: tuple[int, int]) -> F64:
+    return np.array([[1, 0, -(size[0] - 1) / 2], [0, 1, -(size[1] - 1) / 2], [0, 0, 1]])
+
+
+def _vanishing_lines(F: F64, z: F64) -> tuple[F64, F64]:
+    """The lines w = [e]x z and w' = F z that become infinite, by the direction z of one of them (equation 8)."""
+    left = np.cross(epipoles(F)[0], z)
+    right = F @ z
+    return left / np.linalg.norm(left), right / np.linalg.norm(right)
+
+
+def _least_distortion(F: F64, sizes: tuple[tuple[int, int], tuple[int, int]]) -> tuple[F64, float]:
+    """The direction z whose lines weigh the pixels of both pictures most alike (section 5); and how unlike."""
+
+    def criterion(angle: float) -> float:
+        z = np.array([np.cos(angle), np.sin(angle), 0.0])
+        return sum(_unlikeness(line, size) for line, size in zip(_vanishing_lines(F, z), sizes, strict=True))
+
+    step = np.pi / _ANGLES
+    best = step * int(np.argmin([criterion(step * k) for k in range(_ANGLES)]))
+    while step > 1e-12:  # of three neighbours the lowest, ever nearer
+        best = min((best - step, best, best + step), key=criterion)
+        step /= 1.7
+    return np.array([np.cos(best), np.sin(best), 0.0]), criterion(best)
+
+
+def _unlikeness(line: F64, size: tuple[int, int]) -> float:
+    """Sum of squares of the weights of all pixels less the middle one's, over that (equation 10), per pixel.
+
+    The squares of coordinates from the middle sum up to (width^2 - 1) / 12 a pixel.
+    """
+    a, b, c = line
+    return float((a**2 * (size[0] ** 2 - 1) + b**2 * (size[1] ** 2 - 1)) / 12 / max(c**2, 1e-300))
+
+
+def _check_stretch(line: F64, size: tuple[int, int], eye: str) -> None:
+    corners = np.array([[x, y, 1] for x in (-size[0] / 2, size[0] / 2) for y in (-size[1] / 2, size[1] / 2)])
+    weights = corners @ line * np.sign(line[2])
+    if weights.min() <= 0 or weights.max() > _MAX_STRETCH * weights.min():
+        stretch = weights.max() / weights.min() if weights.min() > 0 else np.inf
+        raise CalibrationError(
+            f"the {eye} picture would be enlarged {stretch:.3g} times more at one corner than at another, limit "
+            f"{_MAX_STRETCH:g}: the epipole is too near: move the camera sideways, not forwards"
+        )
+
+
+def _projective(line: F64) -> F64:
+    """H_p, equation 6."""
+    return np.array([[1, 0, 0], [0, 1, 0], line / line[2]])
+
+
+def _similarities(F: F64, left: F64, right: F64) -> tuple[F64, F64]:
+    """H_r and H_r', equations 12 and 13 with v'_c = 0: the epipoles along the rows, equal rows, the same scale."""
+    (a, b, _), (a_right, b_right, _) = left / left[2], right / right[2]
+    to_rows = np.array(
+        [
+            [F[2, 1] - b * F[2, 2], a * F[2, 2] - F[2, 0], 0],
+            [F[2, 0] - a * F[2, 2], F[2, 1] - b * F[2, 2], F[2, 2]],
+            [0, 0, 1],
+        ]
+    )
+    to_rows_right = np.array(
+        [
+            [b_right * F[2, 2] - F[1, 2], F[0, 2] - a_right * F[2, 2], 0],
+            [a_right * F[2, 2] - F[0, 2], b_right * F[2, 2] - F[1, 2], 0],
+            [0, 0, 1],
+        ]
+    )
+    upside_down = np.diag([-1.0, -1.0, 1.0]) if to_rows[0, 0] < 0 else np.eye(3)
+    return upside_down @ to_rows, upside_down @ to_rows_right
+
+
+def _shear(H: F64, size: tuple[int, int]) -> F64:
+    """H_s, equations 17 and 18: the midlines at right angles and as long, beside each other, as they were."""
+    x, y = _midlines(H, size)
+    width, height = size
+    area = width * height * (x[1] * y[0] - x[0] * y[1])
+    a = (height**2 * x[1] ** 2 + width**2 * y[1] ** 2) / area
+    b = -(height**2 * x[0] * x[1] + width**2 * y[0] * y[1]) / area
+    return np.array([[a, b, 0], [0, 1, 0], [0, 0, 1]]) if a > 0 else np.array([[-a, -b, 0], [0, 1, 0], [0, 0, 1]])
+
+
+def _midlines(H: F64, size: tuple[int, int]) -> tuple[F64, F64]:
+    """From left to right and from top to bottom, through the middles of the sides, float64 (2,) each."""
+    x, y = (size[0] - 1) / 2, (size[1] - 1) / 2
+    ends = np.array([[size[0] - 0.5, y], [-0.5, y], [x, size[1] - 0.5], [x, -0.5]])
+    seen = homogeneous(ends) @ H.T
+    east, west, south, north = seen[:, :2] / seen[:, 2:]
+    return east - west, south - north
+
+
+def _placed(homographies: list[F64], sizes: tuple[tuple[int, int], tuple[int, int]]) -> tuple[F64, F64]:
+    """Scaled alike to the area of the raw pictures, and moved so that their middles are in that of the left size."""
+    corners = [np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5 for w, h in sizes]
+    seen = [homogeneous(points) @ H.T for points, H in zip(corners, homographies, strict=True)]
+    outlines = [points[:, :2] / points[:, 2:] for points in seen]
+    area = sum(abs(cv2.contourArea(outline.astype(np.float32))) for outline in outlines)
+    scale = np.sqrt(sum(w * h for w, h in sizes) / area)
+    middles = [scale * (outline.min(axis=0) + outline.max(axis=0)) / 2 for outline in outlines]
+    row = (sizes[0][1] - 1) / 2 - (middles[0][1] + middles[1][1]) / 2
+    left, right = (
+        np.array([[scale, 0, (sizes[0][0] - 1) / 2 - middle[0]], [0, scale, row], [0, 0, 1]]) @ H
+        for H, middle in zip(homographies, middles, strict=True)
+    )
+    return left / left[2, 2], right / right[2, 2]
