@@ -139,15 +139,16 @@ def _vanishing_lines(F: F64, z: F64) -> tuple[F64, F64]:
     """The lines w = [e]x z and w' = F z that become infinite, by the direction z of one of them (equation 8)."""
     left = np.cross(epipoles(F)[0], z)
     right = F @ z
-    return left / np.linalg.norm(left), right / np.linalg.norm(right)
+    tiny = np.finfo(np.float64).tiny  # for the direction of an epipole at infinity, which has no line
+    return left / max(np.linalg.norm(left), tiny), right / max(np.linalg.norm(right), tiny)
 
 
 def _least_distortion(F: F64, sizes: tuple[tuple[int, int], tuple[int, int]]) -> tuple[F64, float]:
     """The direction z whose lines weigh the pixels of both pictures most alike (section 5); and how unlike."""
 
     def criterion(angle: float) -> float:
-        z = np.array([np.cos(angle), np.sin(angle), 0.0])
-        return sum(_unlikeness(line, size) for line, size in zip(_vanishing_lines(F, z), sizes, strict=True))
+        lines = _vanishing_lines(F, np.array([np.cos(angle), np.sin(angle), 0.0]))
+        return sum(_unlikeness(line, size) for line, size in zip(lines, sizes, strict=True))
 
     step = np.pi / _ANGLES
     best = step * int(np.argmin([criterion(step * k) for k in range(_ANGLES)]))
@@ -163,7 +164,9 @@ def _unlikeness(line: F64, size: tuple[int, int]) -> float:
     The squares of coordinates from the middle sum up to (width^2 - 1) / 12 a pixel.
     """
     a, b, c = line
-    return float((a**2 * (size[0] ** 2 - 1) + b**2 * (size[1] ** 2 - 1)) / 12 / max(c**2, 1e-300))
+    if c == 0:
+        return float("inf")
+    return float((a**2 * (size[0] ** 2 - 1) + b**2 * (size[1] ** 2 - 1)) / 12 / c**2)
 
 
 def _check_stretch(line: F64, size: tuple[int, int], eye: str) -> None:

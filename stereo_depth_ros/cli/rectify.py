@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth rectify`: a pair of pictures to one whose rows agree, with a calibration or without."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from stereo_depth_ros.cli.output import messages, show
+from stereo_depth_ros.cli.tables import facts_table
+from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.geometry.calibrated_rectification import METHODS, common_area, rectify_calibrated
+from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
+from stereo_depth_ros.geometry.fundamental import estimate_fundamental
+from stereo_depth_ros.geometry.relative_pose import RelativePose
+from stereo_depth_ros.geometry.uncalibrated_rectification import rectify_uncalibrated
+from stereo_depth_ros.io.calibration_yaml import write_camera
+from stereo_depth_ros.io.datasets import read_image
+from stereo_depth_ros.io.image_message import to_gray
+from stereo_depth_ros.io.rig_files import read_rig
+from stereo_depth_ros.rectification import Rectifier
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import U8, Frame
+from stereo_depth_ros.uncalibrated_rig import UncalibratedRig
+from stereo_depth_ros.view.drawing import save_picture
+from stereo_depth_ros.view.rows_picture import rows_picture
+
+__all__ = ["rectify_command"]
+
+_MIN_MATCHES = 20  # to say how far apart rows are
+_AGREE_PX = 3.0  # matches whose rows are further from the others' are wrong ones
+
+
+def rectify_command(
+    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left picture, raw.")],
+    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right picture, raw.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")],
+    rig: Annotated[
+        list[Path] | None,
+        typer.Option("--rig", metavar="FILE|DIR|BAG", help="Calibration: left.yaml, its folder, or a bag."),
+    ] = None,
+    uncalibrated: Annotated[
+        bool, typer.Option("--uncalibrated", help="From the pictures alone; --rig then only removes distortion.")
+    ] = False,
+    method: Annotated[
+        str | None, typer.Option(metavar="NAME", help=f"Rectify anew: {', '.join(METHODS)}; R and P of the rig else.")
+    ] = None,
+    alpha: Annotated[float, typer.Option(help="With --method: 0 shows valid pixels only, 1 all raw pixels.")] = 0.0,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
+    ] = None,
+) -> None:
+    """Make the rows of a pair of pictures agree.
+
+    With --rig by the calibration. With --uncalibrated features are matched, the fundamental matrix is estimated, and
+    two homographies are found that distort least (Loop and Zhang 1999); lenses with distortion need --rig beside it.
+    The pictures then have disparities, but no depth in metres.
+
+    DIR gets left.png and right.png, rows.png with lines across both, and with --method left.yaml and right.yaml. The
+    row errors told are those of matched features.
+
+    \b
+    Examples:
+      stereo-depth rectify left.png right.png --rig calibration -o out
+      stereo-depth rectify left.png right.png --rig left.yaml --method textbook --alpha 0.5 -o out
+      stereo-depth rectify left.jpg right.jpg --uncalibrated -o out --json -
+    """
+    if rig is None and not uncalibrated:
+        raise ConfigError("neither --rig nor --uncalibrated: give the calibration, or let the pictures tell the rows")
+    if uncalibrated and method is not None:
+        raise ConfigError(f"--method {method} takes a calibration, --uncalibrated does without: give one of them")
+    pictures = _Pictures(read_image(left), read_image(right))
+    known = read_rig(rig) if rig else None
+    raw = match_features(pictures.left_gray, pictures.right_gray)
+    result: dict[str, Any] = {"left": str(left), "right": str(right), "output": str(output)}
+    used: StereoRig | UncalibratedRig
+    if known is None or uncalibrated:
+        used, found = _from_pictures(pictures, raw, known)
+    else:
+        used, found = _from_calibration(known, method, alpha)
+    result |= found
+    rectified = _rectified(pictures, used)
+    result |= {"before": _rows(raw), "after": _rows(match_features(rectified.left_gray, rectified.right_gray))}
+    save_picture(output / "left.png", rectified.left)
+    save_picture(output / "right.png", rectified.right)
+    save_picture(output / "rows.png", rows_picture(rectified.left, rectified.right, _title(result)))
+    if method is not None and isinstance(used, StereoRig):
+        write_camera(output / "left.yaml", used.left, "left")
+        write_camera(output / "right.yaml", used.right, "right")
+    show([_table(result)], result, json_file)
+    if uncalibrated and known is None:
+        messages.print("warning: lenses were taken to have no distortion: give --rig for those that have")
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """A pair as it was read, uint8 (H, W) or (H, W, 3) BGR, and in grey."""
+
+    left: U8
+    right: U8
+    left_gray: U8 = field(init=False)
+    right_gray: U8 = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("left", "right"):
+            pixels = getattr(self, name)
+            gray = to_gray(Frame(pixels, 0, "", "mono8" if pixels.ndim == 2 else "bgr8"))
+            object.__setattr__(self, f"{name}_gray", gray)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width, height of both.
+
+        Raises:
+            CalibrationError: they differ.
+        """
+        if self.left.shape[:2] != self.right.shape[:2]:
+            sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (self.left, self.right))
+            raise CalibrationError(f"the pictures are {sizes}: a pair has one size, take them at one resolution")
+        return self.left.shape[1], self.left.shape[0]
+
+
+def _from_calibration(known: StereoRig, method: str | None, alpha: float) -> tuple[StereoRig, dict[str, Any]]:
+    used = known
+    if method is not None:
+        used = rectify_calibrated(known.left, known.right, RelativePose.from_rig(known), method=method, alpha=alpha)
+    area = common_area(used)._asdict()
+    return used, {"method": method or "the calibration's R and P", "metric": True, "common_area": area}
+
+
+def _from_pictures(
+    pictures: _Pictures, raw: Correspondences, known: StereoRig | None
+) -> tuple[UncalibratedRig, dict[str, Any]]:
+    matches = raw.undistorted(known.left, known.right) if known else raw
+    estimate = estimate_fundamental(matches.left_px, matches.right_px)
+    found = rectify_uncalibrated(estimate.F, pictures.size)
+    cameras = (known.left, known.right) if known else None
+    left_px, right_px = found.rectified(matches.left_px[estimate.inliers], matches.right_px[estimate.inliers])
+    disparity_px = np.percentile(left_px[:, 0] - right_px[:, 0], (1, 99))
+    first = 16 * int(np.floor((disparity_px[0] - 8) / 16))
+    values = {
+        "method": "uncalibrated, Loop and Zhang",
+        "metric": False,
+        "distortion_removed": known is not None,
+        "matches": len(matches),
+        "inliers": int(estimate.inliers.sum()),
+        "sampson_rms_px": estimate.sampson_rms_px,
+        "F": estimate.F.tolist(),
+        "H_left": found.H_left.tolist(),
+        "H_right": found.H_right.tolist(),
+        "projective_distortion": found.distortion,
+        "midlines_left": found.shape_left._asdict(),
+        "midlines_right": found.shape_right._asdict(),
+        "recommended": {
+            "min_disparity": first,
+            "disparity_range": max(32, 16 * int(np.ceil((disparity_px[1] + 8 - first) / 16))),
+        },
+    }
+    return UncalibratedRig.from_homographies(found.H_left, found.H_right, found.size, cameras), values
+
+
+def _rectified(pictures: _Pictures, rig: StereoRig | UncalibratedRig) -> _Pictures:
+    rectifier = Rectifier(rig)
+    return _Pictures(rectifier.rectify_left(pictures.left), rectifier.rectify_right(pictures.right))
+
+
+def _rows(matches: Correspondences) -> dict[str, float | None]:
+    """Median and root mean square row error, px, of the matches that are near to each other's; None where too few."""
+    errors = matches.left_px[:, 1] - matches.right_px[:, 1]
+    if len(errors) < _MIN_MATCHES:
+        return {"matches": len(errors), "median_px": None, "rms_px": None}
+    spread = 4.5 * float(np.median(np.abs(errors - np.median(errors))))
+    near = errors[np.abs(errors - np.median(errors)) <= max(_AGREE_PX, spread)]
+    rms = float(np.sqrt(np.mean(near**2)))
+    return {"matches": len(near), "median_px": float(np.median(np.abs(near))), "rms_px": rms}
+
+
+def _title(result: dict[str, Any]) -> str:
+    return f"{result['method']}, row error {_error(result['before'])} before, {_error(result['after'])} after"
+
+
+def _error(rows: dict[str, float | None]) -> str:
+    return "unknown" if rows["median_px"] is None else f"{rows['median_px']:.2f} px"
+
+
+def _table(result: dict[str, Any]) -> Table:
+    facts = facts_table()
+    facts.add_row("method", result["method"])
+    facts.add_row("depth", "in metres" if result["metric"] else "none: disparities tell what is nearer, no metres")
+    for name in ("before", "after"):
+        rows = result[name]
+        text = "too few matched features to say"
+        if rows["median_px"] is not None:
+            text = f"median {rows['median_px']:.2f} px, rms {rows['rms_px']:.2f} px of {rows['matches']} matches"
+        facts.add_row(f"row error {name}", text)
+    if not result["metric"]:
+        facts.add_row("matches", f"{result['inliers']} of {result['matches']} agree on the fundamental matrix")
+        search = " ".join(f"--param {name}:={value}" for name, value in result["recommended"].items())
+        facts.add_row("to search", search)
+    else:
+        area = result["common_area"]
+        facts.add_row("seen by both", f"{area['width']}x{area['height']} px from ({area['x']}, {area['y']})")
+    facts.add_row("files", result["output"])
+    return facts

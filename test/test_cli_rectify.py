@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth rectify`: with a calibration and without, pictures, figures, wrong input."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo_depth_ros.cli import main as cli
+from stereo_depth_ros.io.calibration_yaml import write_camera
+from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.rectification import Rectifier
+from stereo_depth_ros.stereo_rig import StereoRig
+
+Run = Callable[..., tuple[int, str, str]]
+SCENE = SyntheticSequence(1, 480, 360)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """Runs `stereo-depth rectify` with arguments: exit code, stdout, stderr."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["stereo-depth", "rectify", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(ended.value.code or 0), out, err
+
+    yield call
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> tuple[Path, Path]:
+    """A raw pair of two distorted, verged cameras, and their calibration beside it in rig/."""
+    frame = next(iter(SCENE))
+    paths = tmp_path / "l.png", tmp_path / "r.png"
+    for path, image in zip(paths, (frame.pair.left, frame.pair.right), strict=True):
+        cv2.imwrite(str(path), image.pixels)
+    (tmp_path / "rig").mkdir()
+    write_camera(tmp_path / "rig" / "left.yaml", SCENE.rig.left, "left")
+    write_camera(tmp_path / "rig" / "right.yaml", SCENE.rig.right, "right")
+    return paths
+
+
+def test_by_the_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    code, out, err = run(*pair, "--rig", tmp_path / "rig", "-o", tmp_path / "out", "--json", tmp_path / "r.json")
+    assert (code, err) == (0, "")
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["metric"] is True
+    assert result["before"]["median_px"] > 2
+    assert result["after"]["median_px"] < 0.3
+    assert "in metres" in out
+    left = cv2.imread(str(tmp_path / "out" / "left.png"), cv2.IMREAD_GRAYSCALE)
+    assert left is not None
+    np.testing.assert_array_equal(left, Rectifier(SCENE.rig).rectify_left(next(iter(SCENE)).pair.left.pixels))
+    rows = cv2.imread(str(tmp_path / "out" / "rows.png"))
+    assert rows is not None and rows.shape[1] > 1200
+    assert not (tmp_path / "out" / "left.yaml").exists()
+
+
+@pytest.mark.parametrize("method", ["textbook", "opencv"])
+def test_rectified_anew(run: Run, tmp_path: Path, pair: tuple[Path, Path], method: str) -> None:
+    arguments = ("--rig", tmp_path / "rig", "--method", method, "--alpha", "0.5")
+    code, out, err = run(*pair, *arguments, "-o", tmp_path / "out", "--json", "-")
+    assert (code, err) == (0, "")
+    result = json.loads(out)
+    assert result["method"] == method
+    assert result["after"]["median_px"] < 0.3
+    rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
+    assert rig.baseline_m == pytest.approx(SCENE.rig.baseline_m, rel=1e-6)
+    assert result["common_area"]["width"] < 480
+
+
+def test_without_a_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    """Distortion is removed by the lenses' K and D; the rows come from the pictures."""
+    arguments = ("--uncalibrated", "--rig", tmp_path / "rig", "-o", tmp_path / "out", "--json", "-")
+    code, out, err = run(*pair, *arguments)
+    assert (code, err) == (0, "")
+    result = json.loads(out)
+    assert result["metric"] is False
+    assert result["distortion_removed"] is True
+    assert result["after"]["median_px"] < 0.5
+    assert result["midlines_left"]["angle_deg"] == pytest.approx(90, abs=1e-6)
+    assert np.linalg.svd(np.array(result["F"]), compute_uv=False)[2] < 1e-12
+
+
+def test_lenses_without_calibration_are_taken_to_be_straight(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    code, out, err = run(*pair, "--uncalibrated", "-o", tmp_path / "out")
+    assert code == 0
+    assert "no metres" in out
+    assert "warning: lenses were taken to have no distortion" in err
+
+
+def test_wrong_input(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    out = ("-o", tmp_path / "out")
+    flat = tmp_path / "flat.png"
+    cv2.imwrite(str(flat), np.full((360, 480), 99, np.uint8))
+    small = tmp_path / "small.png"
+    cv2.imwrite(str(small), np.full((100, 100), 99, np.uint8))
+    for arguments, text in (
+        (pair, "neither --rig nor --uncalibrated"),
+        ((*pair, "--uncalibrated", "--method", "opencv"), "takes a calibration"),
+        ((*pair, "--rig", tmp_path / "rig", "--method", "bouguet"), "'bouguet' is none of textbook, opencv"),
+        ((pair[0], tmp_path / "none.png", "--uncalibrated"), "none.png"),
+        ((flat, flat, "--uncalibrated"), "0 different matches of 0"),
+        ((small, small, "--rig", tmp_path / "rig"), "the image is 100x100, its camera info is for 480x360"),
+        ((pair[0], small, "--uncalibrated"), "matches"),
+    ):
+        code, _, err = run(*arguments, *out)
+        assert code == 1, arguments
+        assert text in " ".join(err.split()), arguments
+    assert not (tmp_path / "out").exists()
