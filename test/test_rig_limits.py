@@ -95,6 +95,8 @@ def test_whole_depths(first_m: float, last_m: float, step_m: float) -> None:
 def test_values_that_cannot_be() -> None:
     with pytest.raises(ConfigError, match="sigma_px = 0 is not above 0"):
         Precision(1 / 16, 0, 0.05)
+    with pytest.raises(ConfigError, match="error of 150 % of the depth is asked for, limit 100 %"):
+        Precision(1 / 16, 0.25, 1.5)
     with pytest.raises(ConfigError, match=r"search ends at 11 px, infinity is at 12\.00 px"):
         depth_range(RIG, MatchingConfig(min_disparity=-20, num_disparities=32), PRECISION)
     with pytest.raises(ConfigError, match=r"at 0\.05 m the disparity is 1012 px and the pictures are 640 px wide"):

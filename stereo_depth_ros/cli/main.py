@@ -14,9 +14,13 @@ from typing import Annotated, Any
 
 import typer
 
+from stereo_depth_ros.cli.calibrate import calibrate_command
 from stereo_depth_ros.cli.convert import convert_app, synthesize
+from stereo_depth_ros.cli.doctor import doctor_command
 from stereo_depth_ros.cli.evaluate import evaluate_command
 from stereo_depth_ros.cli.output import messages, progress_bar, show
+from stereo_depth_ros.cli.rectify import rectify_command
+from stereo_depth_ros.cli.rig import rig_command
 from stereo_depth_ros.cli.tables import info_tables, info_values, parameters_table, parameters_values, result_tables
 from stereo_depth_ros.errors import BagError, StereoDepthError
 from stereo_depth_ros.installed_files import installed_files
@@ -44,6 +48,10 @@ app = typer.Typer(
 app.add_typer(convert_app, name="convert")
 app.command()(synthesize)
 app.command("evaluate")(evaluate_command)
+app.command("calibrate")(calibrate_command)
+app.command("doctor")(doctor_command)
+app.command("rectify")(rectify_command)
+app.command("rig")(rig_command)
 
 Bag = Annotated[Path, typer.Argument(metavar="BAG", help="MCAP or .db3 file, or rosbag2 folder.")]
 Output = Annotated[

@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth doctor`: what is wrong with a stereo set-up, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from stereo_depth_ros.calibration.checks.finding import Level
+from stereo_depth_ros.calibration.diagnosis import Diagnosis, StereoSetUp
+from stereo_depth_ros.calibration.doctor import diagnose
+from stereo_depth_ros.cli.output import progress_bar, show
+from stereo_depth_ros.cli.tables import facts_table, plain_table
+from stereo_depth_ros.replay.bag_set_up import set_up_of_bag
+from stereo_depth_ros.replay.graph_runner import require_ros
+
+__all__ = ["doctor_command"]
+
+_EXIT_ERROR, _EXIT_LEFT_OUT = 1, 3
+_SHOWN = {
+    Level.OK: "[green]ok",
+    Level.LEFT_OUT: "[yellow]left out",
+    Level.WARNING: "[yellow]warning",
+    Level.ERROR: "[red]error",
+}
+
+
+def doctor_command(
+    bag: Annotated[
+        Path | None, typer.Argument(metavar="[BAG]", help="MCAP or .db3 file, or rosbag2 folder; or --live.")
+    ] = None,
+    live: Annotated[bool, typer.Option("--live", help="Listen to the running graph, in this ROS_DOMAIN_ID.")] = False,
+    left: Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left image topic.")] = None,
+    right: Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic.")] = None,
+    left_namespace: Annotated[str, typer.Option(metavar="NAME", help="Of the left camera's topics, live.")] = "left",
+    right_namespace: Annotated[str, typer.Option(metavar="NAME", help="Of the right camera's topics, live.")] = "right",
+    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="How long to listen, live.")] = 5.0,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
+    ] = None,
+) -> None:
+    """Examine a stereo set-up: calibration, stamps, pictures, rows; say what is wrong and what to do.
+
+    Topics are found as by `info` in a bag; live they are image_raw (else image_rect) and camera_info in the namespaces,
+    or what --left and --right name.
+
+    Exit codes: 0 no fault (there may be warnings), 1 a fault, or nothing can be examined, 2 wrong usage, 3 no fault was
+    found but not everything could be looked at.
+
+    \b
+    Examples:
+      stereo-depth doctor drive.mcap
+      stereo-depth doctor drive.mcap --json - | jq '.findings[] | select(.level == "error")'
+      stereo-depth doctor --live --left-namespace stereo/left --right-namespace stereo/right --seconds 10
+    """
+    if live == (bag is not None):
+        raise typer.BadParameter("give a BAG, or --live for the running graph", param_hint="BAG")
+    if bag is not None:
+        with progress_bar("reading") as progress:
+            set_up = set_up_of_bag(bag, left, right, progress)
+    else:
+        set_up = _listen(left, right, left_namespace, right_namespace, seconds)
+    with progress_bar("matching features") as progress:
+        diagnosis = diagnose(set_up, progress)
+    show(_tables(diagnosis), diagnosis.to_json(), json_file)
+    if diagnosis.level is Level.ERROR:
+        raise typer.Exit(_EXIT_ERROR)
+    if diagnosis.left_out:
+        raise typer.Exit(_EXIT_LEFT_OUT)
+
+
+def _listen(
+    left: str | None, right: str | None, left_namespace: str, right_namespace: str, seconds: float
+) -> StereoSetUp:
+    require_ros()
+    from stereo_depth_ros.nodes.doctor_probe import camera_topics, probe_graph  # needs rclpy
+
+    left_names = (left,) if left else camera_topics(left_namespace)
+    right_names = (right,) if right else camera_topics(right_namespace)
+    with progress_bar("listening") as progress:
+        return probe_graph(left_names, right_names, seconds, progress)
+
+
+def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
+    """All findings, what to do about those that are not fine, and the verdict."""
+    findings = plain_table("check", "verdict", "found", "limit")
+    for finding in diagnosis.findings:
+        findings.add_row(finding.check, _SHOWN[finding.level], escape(finding.value), escape(finding.limit))
+    yield findings
+    remedies: dict[str, list[str]] = {}
+    for finding in sorted(diagnosis.findings, key=lambda finding: -finding.level):
+        if finding.level is not Level.OK and finding.remedy:
+            remedies.setdefault(finding.remedy, []).append(finding.check)
+    if remedies:
+        table = plain_table("check", "remedy", title="what to do")
+        for remedy, checks in remedies.items():
+            table.add_row(escape(", ".join(checks)), escape(remedy))
+        yield table
+    facts = facts_table()
+    set_up = diagnosis.set_up
+    facts.add_row("images", f"{set_up.left.image_topic}, {set_up.right.image_topic}")
+    facts.add_row("looked at", f"{len(set_up.pairs)} pairs of {set_up.source}")
+    if diagnosis.search:
+        facts.add_row("search", diagnosis.search)
+    facts.add_row("verdict", escape(diagnosis.verdict))
+    yield facts

@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The doctor listens to a live graph: what comes is examined, what does not come is told."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from graph_harness import NS_PER_S, Graph, StereoCamera
+from sensor_msgs.msg import Image
+
+from stereo_depth_ros.calibration.checks.finding import Finding, Level
+from stereo_depth_ros.calibration.doctor import diagnose
+from stereo_depth_ros.cli import main as cli
+from stereo_depth_ros.errors import ConfigError, TopicError
+from stereo_depth_ros.io.image_message import compressed_message
+from stereo_depth_ros.nodes.doctor_probe import camera_topics, probe_graph
+
+pytestmark = pytest.mark.graph
+
+PERIOD_S = 0.05
+LEFT, RIGHT = camera_topics("left"), camera_topics("/right/")
+
+
+@pytest.fixture(scope="module")
+def camera() -> StereoCamera:
+    return StereoCamera(frames=1, width=400, height=300)
+
+
+@contextmanager
+def sending(graph: Graph, make: Callable[[int], dict[str, Any]]) -> Iterator[None]:
+    """Publishes what ``make`` makes of a stamp, twenty times a second, from a thread."""
+    publishers = {topic: graph.advertise(topic, type(message)) for topic, message in make(NS_PER_S).items()}
+    stop = threading.Event()
+
+    def send() -> None:
+        stamp_ns = 5 * NS_PER_S
+        while not stop.wait(PERIOD_S):
+            stamp_ns += round(PERIOD_S * NS_PER_S)
+            for topic, message in make(stamp_ns).items():
+                publishers[topic].publish(message)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def by_check(findings: Any) -> dict[str, Finding]:
+    return {finding.check: finding for finding in findings}
+
+
+def test_topics_of_a_namespace() -> None:
+    assert LEFT[:2] == ("/left/image_raw", "/left/image_raw/compressed")
+    assert RIGHT[2] == "/right/image_rect"
+    assert camera_topics("")[0] == "/image_raw"
+
+
+def test_no_time_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"seconds = 0 is outside 0\.\.3600"):
+        probe_graph(LEFT, RIGHT, 0)
+
+
+def test_names_that_cannot_be_are_refused() -> None:
+    with pytest.raises(TopicError, match="'left eye' cannot be a topic: topic name must not contain characters other"):
+        probe_graph(["left eye"], ["right"], 0.1)
+    with pytest.raises(TopicError, match="'a//b' cannot be a topic: topic name must not contain repeated"):
+        probe_graph(["left"], ["a//b"], 0.1)
+
+
+def test_a_healthy_graph(camera: StereoCamera) -> None:
+    with Graph() as graph, sending(graph, camera.pair):
+        set_up = probe_graph(LEFT, RIGHT, 1.0)
+    assert (set_up.left.image_topic, set_up.right.info_topic) == ("/left/image_raw", "/right/camera_info")
+    assert not set_up.rectified and not set_up.findings
+    assert len(set_up.left.infos) == 1, "equal camera infos are one"
+    assert len(set_up.left.stamps_ns) >= 8
+    assert 3 <= len(set_up.pairs) <= 6
+    assert all(pair.left.stamp_ns == pair.right.stamp_ns for pair in set_up.pairs)
+    found = by_check(diagnose(replace(set_up, pairs=set_up.pairs[:1])).findings)
+    best_effort = ("pairs", "left drops", "right drops")  # a busy machine may lose some
+    assert max(finding.level for finding in found.values() if finding.check not in best_effort) is Level.OK
+    assert found["baseline"].figures["baseline_m"] == pytest.approx(camera.rig.baseline_m)
+    assert found["rates"].figures["left_hz"] == pytest.approx(1 / PERIOD_S)
+    assert found["rows"].figures["median_px"] < 0.15
+
+
+def test_what_does_not_come_is_told(camera: StereoCamera) -> None:
+    def left_eye(stamp_ns: int) -> dict[str, Any]:
+        return {topic: message for topic, message in camera.pair(stamp_ns).items() if topic.startswith("left")}
+
+    with Graph() as graph, sending(graph, left_eye):
+        graph.advertise("right/image_raw", Image)  # is there, but does not send
+        set_up = probe_graph(LEFT, RIGHT, 0.6)
+    found = by_check(diagnose(set_up).findings)
+    assert found["left camera info"].level is Level.OK
+    assert found["right images"].level is Level.ERROR
+    assert found["right images"].value == "nothing on /right/image_raw"
+    assert "1 publisher(s) are there, nothing came in 0.6 s" in found["right images"].remedy
+    assert found["right camera info"].value == "nothing on /right/camera_info"
+    assert "nobody publishes it" in found["right camera info"].remedy
+
+
+def test_compressed_images_in_other_namespaces(camera: StereoCamera) -> None:
+    def compressed(stamp_ns: int) -> dict[str, Any]:
+        made: dict[str, Any] = {f"rig/{topic}": message for topic, message in camera.infos(stamp_ns).items()}
+        pair = camera.frames[0].pair
+        for eye, frame in (("left", pair.left), ("right", pair.right)):
+            image = compressed_message(camera.types, frame.pixels, "mono8", "png", stamp_ns, frame.frame_id)
+            made[f"rig/{eye}/image_raw/compressed"] = image
+        return made
+
+    with Graph() as graph, sending(graph, compressed):
+        set_up = probe_graph(camera_topics("rig/left"), camera_topics("rig/right"), 0.6)
+    assert set_up.left.image_topic == "/rig/left/image_raw/compressed"
+    assert set_up.left.info_topic == "/rig/left/camera_info"
+    assert len(set_up.right.infos) == 1
+    np.testing.assert_array_equal(set_up.pairs[0].right.pixels, camera.frames[0].pair.right.pixels)
+
+
+def test_images_that_cannot_be_decoded_are_told(camera: StereoCamera) -> None:
+    def odd(stamp_ns: int) -> dict[str, Any]:
+        made = camera.pair(stamp_ns)
+        made["right/image_raw"].encoding = "magic"
+        return made
+
+    with Graph() as graph, sending(graph, odd):
+        set_up = probe_graph(LEFT, RIGHT, 0.5)
+    assert not set_up.pairs
+    assert [finding.check for finding in set_up.findings] == ["images"], "the first error stands for all"
+    assert "encoding = 'magic' is not read" in set_up.findings[0].value
+
+
+def test_the_command_listens_and_names_the_images_that_are_there(
+    camera: StereoCamera, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    arguments = ["--live", "--left-namespace", "a", "--right-namespace", "b", "--seconds", "0.5", "--json", "-"]
+    monkeypatch.setattr("sys.argv", ["stereo-depth", "doctor", *arguments])
+    with Graph() as graph, sending(graph, camera.pair), pytest.raises(SystemExit) as ended:
+        cli.main()
+    signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == 1
+    out, err = capsys.readouterr()
+    assert not out and err.count("\n") == 1
+    assert "nothing came on /a/image_raw and /b/image_raw in 0.5 s: nobody publishes it: start the camera" in err
+    assert "images are on /left/image_raw, /right/image_raw" in err
