@@ -54,8 +54,8 @@ class Precision:
                 raise ConfigError(f"{name} = {value:g} is not above 0: without errors every distance is seen")
         if self.max_error > 1:
             raise ConfigError(
-                f"an error of {100 * self.max_error:g} % of the depth is asked for, limit 100 %: beyond it a depth says "
-                "nothing"
+                f"an error of {100 * self.max_error:g} % of the depth is asked for, limit 100 %: beyond it a depth "
+                "says nothing"
             )
 
 

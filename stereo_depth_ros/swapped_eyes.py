@@ -66,11 +66,12 @@ def _smooth_share(left: U8, right: U8, doffs_px: float) -> float:
     scale = min(1.0, _WIDTH / left.shape[1])
     left, right = (cv2.resize(i, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for i in (left, right))
     first = int(np.floor(doffs_px * scale))
-    begin = max(0, first + _DISPARITIES) + _WINDOW // 2
+    count = _DISPARITIES + 16 * int(np.ceil(max(0, -first) / 16))  # infinity far below 0: what is near lies above it
+    begin = max(0, first + count) + _WINDOW // 2
     end = left.shape[1] - _WINDOW // 2 + min(0, first)
     if end - begin < _WINDOW or left.shape[0] <= 2 * _WINDOW:
         return 0.0
-    stereo = cv2.StereoBM.create(_DISPARITIES, _WINDOW)
+    stereo = cv2.StereoBM.create(count, _WINDOW)
     stereo.setMinDisparity(first)
     stereo.setUniquenessRatio(15)
     fixed = stereo.compute(left, right)[_WINDOW // 2 : -(_WINDOW // 2), begin:end]

@@ -78,3 +78,13 @@ def test_an_offset_that_lets_swapped_points_lie_in_front_is_not_refused(stereo_d
     folder = stereo_data / "middlebury2014" / "Motorcycle_quarter"
     left, right = (cv2.imread(str(folder / f"motorcycle_{eye}.png"), cv2.IMREAD_GRAYSCALE) for eye in ("left", "right"))
     EyeOrder(-31.086).check(left, right)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("scene", ["Art", "Reindeer"])
+def test_infinity_far_below_zero_is_no_sign_of_swapped_eyes(stereo_data: Path, scene: str) -> None:
+    """Cropped images whose true disparities lie 67 px and more above that of infinity."""
+    folder = stereo_data / "middlebury2005" / scene
+    left, right = (cv2.imread(str(folder / f"view{number}.png"), cv2.IMREAD_GRAYSCALE) for number in (1, 5))
+    doffs_px = -float((folder / "dmin.txt").read_text()) / 3
+    EyeOrder(doffs_px).check(left, right)
