@@ -15,6 +15,7 @@ NODES = (
     "depth_node",
     "stereo_depth_node",
     "feature_node",
+    "health_node",
     "replay_node",
 )
 # setup.py may be a link in a build folder (colcon --symlink-install)

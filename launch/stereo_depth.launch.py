@@ -11,9 +11,11 @@ from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from stereo_depth_ros.config import PipelineConfig, parameter_infos
+from stereo_depth_ros.config import HealthConfig, PipelineConfig, parameter_infos
 
+PATH = [item.name for item in dataclasses.fields(PipelineConfig)]
 STAGES = {item.name: list(parameter_infos(item.default)) for item in dataclasses.fields(PipelineConfig)}
+STAGES["health"] = list(parameter_infos(HealthConfig))
 
 ARGUMENTS = {
     "fused": ("false", "One stereo_depth_node in place of one node for each stage."),
@@ -21,6 +23,7 @@ ARGUMENTS = {
     "namespace": ("", "Namespace of the nodes."),
     "left_namespace": ("left", "Namespace of the topics of the left camera."),
     "right_namespace": ("right", "Namespace of the topics of the right camera."),
+    "health": ("false", "Start health_node, which watches the calibration; see auto_correct."),
     "container": ("", "Taken for compatibility and not used: nodes in Python run in processes of their own."),
 }
 
@@ -36,7 +39,29 @@ RECTIFIED_TRANSPORT = PythonExpression(
 )
 
 
-def stage_node(executable, *stages, condition=None, **parameters):
+# With auto_correct, by the camera infos that health_node publishes
+RIGHT_INFO_TO_RECTIFY = PythonExpression(
+    [
+        *("'/camera_info_corrected' if '", LaunchConfiguration("health"), "'.lower() in ('true', '1')"),
+        *(" and '", LaunchConfiguration("auto_correct"), "'.lower() in ('true', '1') else '/camera_info'"),
+    ]
+)
+
+
+def remappings(rectifies):
+    """The topics of the cameras, in their namespaces."""
+    targets = {
+        f"{side}/{topic}": [LaunchConfiguration(f"{side}_namespace"), f"/{topic}"]
+        for side in ("left", "right")
+        for topic in CAMERA_TOPICS
+    }
+    targets["right/camera_info_corrected"] = [LaunchConfiguration("right_namespace"), "/camera_info_corrected"]
+    if rectifies:
+        targets["right/camera_info"] = [LaunchConfiguration("right_namespace"), RIGHT_INFO_TO_RECTIFY]
+    return list(targets.items())
+
+
+def stage_node(executable, *stages, condition=None, rectifies=False, **parameters):
     """A node with the parameters of its stages, its camera topics in the namespaces of the cameras."""
     return Node(
         package="stereo_depth_ros",
@@ -51,11 +76,7 @@ def stage_node(executable, *stages, condition=None, **parameters):
                 for info in STAGES[stage]
             }
         ],
-        remappings=[
-            (f"{side}/{topic}", [LaunchConfiguration(f"{side}_namespace"), f"/{topic}"])
-            for side in ("left", "right")
-            for topic in CAMERA_TOPICS
-        ],
+        remappings=remappings(rectifies),
         condition=condition,
         output="screen",
     )
@@ -84,7 +105,10 @@ def generate_launch_description():
             GroupAction(
                 [
                     stage_node(
-                        "rectify_node", "pairing", condition=IfCondition(LaunchConfiguration("launch_image_proc"))
+                        "rectify_node",
+                        "pairing",
+                        condition=IfCondition(LaunchConfiguration("launch_image_proc")),
+                        rectifies=True,
                     ),
                     stage_node("disparity_node", "pairing", "matching", **rectified),
                     stage_node("point_cloud_node", "pairing", "cloud", **rectified),
@@ -92,6 +116,9 @@ def generate_launch_description():
                 ],
                 condition=UnlessCondition(fused),
             ),
-            stage_node("stereo_depth_node", *STAGES, condition=IfCondition(fused)),
+            stage_node("stereo_depth_node", *PATH, condition=IfCondition(fused), rectifies=True),
+            stage_node(
+                "health_node", "pairing", "health", condition=IfCondition(LaunchConfiguration("health")), **rectified
+            ),
         ]
     )

@@ -18,9 +18,10 @@ from typing import Any, TypeVar
 from stereo_depth_ros.errors import ConfigError
 
 __all__ = [
-    "STAGE_CONFIGS",
+    "CONFIGS",
     "CloudConfig",
     "DepthConfig",
+    "HealthConfig",
     "MatchingConfig",
     "PairingConfig",
     "ParameterInfo",
@@ -304,6 +305,30 @@ class CloudConfig(_Checked):
 
 
 @dataclass(frozen=True)
+class HealthConfig(_Checked):
+    """The health of the calibration, which health_node watches."""
+
+    health_rate: float = _parameter(
+        2.0, "Pairs looked at a second; 0 looks at every one.", low=0.0, high=100.0, unit="Hz"
+    )
+    row_error_limit: float = _parameter(
+        1.0, "Median row error of matched features above which the node warns.", low=0.1, high=20.0, unit="px"
+    )
+    auto_correct: bool = _parameter(
+        False, "Publish right/camera_info_corrected, with the misalignment taken back.", run_time=False
+    )
+    correction_limit: float = _parameter(
+        1.0, "Largest rotation that is corrected, about each axis.", low=0.01, high=5.0, unit="deg", run_time=False
+    )
+    correct_yaw: bool = _parameter(
+        False, "Take yaw beyond reference_yaw for a camera that turned; false corrects rows only.", run_time=False
+    )
+    reference_yaw: float = _parameter(
+        0.0, "Yaw that the calibration shows when it is new.", low=-5.0, high=5.0, unit="deg", run_time=False
+    )
+
+
+@dataclass(frozen=True)
 class PipelineConfig:
     """All stages of the path."""
 
@@ -313,4 +338,8 @@ class PipelineConfig:
     cloud: CloudConfig = CloudConfig()
 
 
-STAGE_CONFIGS = (PairingConfig, MatchingConfig, DepthConfig, CloudConfig)
+# By the names of the tables: the stages of the path, and what nodes beside it take
+CONFIGS: Mapping[str, type] = {
+    **{item.name: type(item.default) for item in dataclasses.fields(PipelineConfig)},
+    "health": HealthConfig,
+}

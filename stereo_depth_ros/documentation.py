@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from stereo_depth_ros.config import ParameterInfo, PipelineConfig, parameter_infos
+from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
 from stereo_depth_ros.errors import ConfigError
 
 __all__ = ["render_files", "render_table", "render_yaml", "replace_section", "write_files"]
@@ -83,9 +82,8 @@ def write_files(root: str | Path) -> None:
 
 
 def _stages() -> Iterator[tuple[str, object]]:
-    config = PipelineConfig()
-    for item in dataclasses.fields(config):
-        yield item.name, getattr(config, item.name)
+    for name, config in CONFIGS.items():
+        yield name, config()
 
 
 def _yaml_stage(name: str, stage: object) -> str:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,7 +13,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from stereo_depth_ros.config import (
-    STAGE_CONFIGS,
+    CONFIGS,
     ParameterInfo,
     PipelineConfig,
     parameter_infos,
@@ -84,11 +85,13 @@ def pipeline_config(values: Mapping[str, Value]) -> PipelineConfig:
     Raises:
         ConfigError: values that contradict each other.
     """
-    stages = []
-    for stage in STAGE_CONFIGS:
+    stages: dict[str, Any] = {}
+    for item in dataclasses.fields(PipelineConfig):
+        stage = CONFIGS[item.name]
         names = {info.name for info in parameter_infos(stage)}
-        stages.append(replace_checked(stage(), {name: value for name, value in values.items() if name in names}))
-    return PipelineConfig(*stages)  # type: ignore[arg-type]
+        given = {name: value for name, value in values.items() if name in names}
+        stages[item.name] = replace_checked(stage(), given)
+    return PipelineConfig(**stages)
 
 
 def _load(text: str) -> Any:
@@ -99,7 +102,7 @@ def _load(text: str) -> Any:
 
 
 def _infos() -> dict[str, ParameterInfo]:
-    return {info.name: info for stage in STAGE_CONFIGS for info in parameter_infos(stage)}
+    return {info.name: info for stage in CONFIGS.values() for info in parameter_infos(stage)}
 
 
 def _info(name: str, infos: Mapping[str, ParameterInfo]) -> ParameterInfo:

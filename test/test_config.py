@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from stereo_depth_ros.config import (
-    STAGE_CONFIGS,
+    CONFIGS,
     CloudConfig,
     DepthConfig,
     MatchingConfig,
@@ -70,7 +70,7 @@ def test_other_parameters_of_the_contract() -> None:
 
 
 def test_names_are_unique_over_all_stages_and_every_one_is_explained() -> None:
-    infos = [info for config in STAGE_CONFIGS for info in parameter_infos(config)]
+    infos = [info for config in CONFIGS.values() for info in parameter_infos(config)]
     assert len({info.name for info in infos}) == len(infos)
     assert all(info.doc.endswith(".") for info in infos)
 

@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import pytest
 from ruamel.yaml import YAML
 
 from stereo_depth_ros import documentation
-from stereo_depth_ros.config import ParameterInfo, PipelineConfig, parameter_infos
+from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
 from stereo_depth_ros.documentation import render_files, render_table, render_yaml, replace_section, write_files
 from stereo_depth_ros.errors import ConfigError
 
@@ -19,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def all_infos() -> list[ParameterInfo]:
-    return [info for item in dataclasses.fields(PipelineConfig) for info in parameter_infos(item.default)]
+    return [info for config in CONFIGS.values() for info in parameter_infos(config)]
 
 
 def test_files_have_not_drifted() -> None:

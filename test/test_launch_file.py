@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import setuptools
 
-from stereo_depth_ros.config import MatchingConfig, PipelineConfig, parameter_infos
+from stereo_depth_ros.config import HealthConfig, MatchingConfig, PipelineConfig, parameter_infos
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -108,7 +108,9 @@ def test_argument_defaults(entities: list[Any]) -> None:
 
 def test_executables_are_installed(entities: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = nodes_of(entities)
-    assert set(nodes) == {"rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node"}
+    assert set(nodes) == {
+        *("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node", "health_node")
+    }
     assert set(nodes) < entry_points(monkeypatch)
     assert {node.kwargs["package"] for node in nodes.values()} == {"stereo_depth_ros"}
 
@@ -124,6 +126,7 @@ def test_parameters_are_those_of_the_stages_with_their_types(entities: list[Any]
         "point_cloud_node": {**stages["pairing"], **stages["cloud"]},
         "depth_node": {**stages["pairing"], **stages["depth"]},
         "stereo_depth_node": {name: kind for stage in stages.values() for name, kind in stage.items()},
+        "health_node": {**stages["pairing"], **{info.name: info.type for info in parameter_infos(HealthConfig)}},
     }
     for executable, node in nodes_of(entities).items():
         (parameters,) = node.kwargs["parameters"]
@@ -148,15 +151,41 @@ def test_compressed_is_asked_of_the_cameras_only(
 
 
 def test_camera_topics_follow_the_namespaces(entities: list[Any]) -> None:
-    for node in nodes_of(entities).values():
+    for executable, node in nodes_of(entities).items():
         assert configuration_name(node.kwargs["namespace"]) == "namespace"
-        remappings = {source: configuration_name(target[0]) + target[1] for source, target in node.kwargs["remappings"]}
+        targets = dict(node.kwargs["remappings"])
+        if executable in ("rectify_node", "stereo_depth_node"):
+            assert configuration_name(targets.pop("right/camera_info")[0]) == "right_namespace"
+        else:
+            targets.pop("right/camera_info")
+        remappings = {source: configuration_name(target[0]) + target[1] for source, target in targets.items()}
         assert remappings == {
+            "left/camera_info": "left_namespace/camera_info",
+            "right/camera_info_corrected": "right_namespace/camera_info_corrected",
+        } | {
             f"{side}/{topic}": f"{side}_namespace/{topic}"
             for side in ("left", "right")
-            for name in ("image_raw", "camera_info", "image_rect", "image_rect_color")
-            for topic in ([name] if name == "camera_info" else [name, f"{name}/compressed"])
+            for name in ("image_raw", "image_rect", "image_rect_color")
+            for topic in (name, f"{name}/compressed")
         }
+
+
+@pytest.mark.parametrize(
+    ("health", "auto_correct", "expected"),
+    [("true", "True", "/camera_info_corrected"), ("true", "false", "/camera_info"), ("false", "true", "/camera_info")],
+)
+def test_corrected_camera_infos_go_to_the_nodes_that_rectify(
+    entities: list[Any], health: str, auto_correct: str, expected: str
+) -> None:
+    given = {"health": health, "auto_correct": auto_correct}
+    for executable, node in nodes_of(entities).items():
+        target = dict(node.kwargs["remappings"])["right/camera_info"][1]
+        if executable in ("rectify_node", "stereo_depth_node"):
+            parts = target.args[0]
+            text = "".join(part if isinstance(part, str) else given[configuration_name(part)] for part in parts)
+            assert eval(text) == expected
+        else:
+            assert target == "/camera_info"
 
 
 def test_one_shape_or_the_other(entities: list[Any]) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -105,6 +105,10 @@ def replay(
     left: Left = None,
     right: Right = None,
     in_flight: Annotated[int, typer.Option(min=1, max=100, help="Pairs that may be on their way.")] = 1,
+    health: Annotated[bool, typer.Option("--health", help="Watch the calibration with health_node, too.")] = False,
+    auto_correct: Annotated[
+        bool, typer.Option("--auto-correct", help="And rectify with what health_node corrects.")
+    ] = False,
     json_file: Json = None,
 ) -> None:
     """Play a bag through the live graph, in this ROS_DOMAIN_ID, and record what comes out.
@@ -115,6 +119,7 @@ def replay(
     Examples:
       stereo-depth replay drive.mcap -o depth.mcap
       stereo-depth replay drive.mcap -o depth.mcap --separate --matcher sgbm --param disparity_range:=128
+      stereo-depth replay drive.mcap -o depth.mcap --auto-correct --param health_rate:=0
       stereo-depth replay drive.mcap -o depth.mcap --realtime --rate 0.5 --clock --start 10 --duration 5
     """
     options = ReplayOptions(
@@ -130,7 +135,11 @@ def replay(
         right_topic=right or "",
         in_flight=in_flight,
     )
-    result = _replay(options, "separate" if separate else "fused", parse_assignments(param or (), matcher), params_file)
+    shape, values = "separate" if separate else "fused", parse_assignments(param or (), matcher)
+    watch: Literal["", "watch", "correct"] = "watch" if health else ""
+    if auto_correct or values.get("auto_correct"):
+        watch = "correct"
+    result = _replay(options, shape, values, params_file, watch)
     _finish(result, json_file)
 
 
@@ -209,14 +218,20 @@ def _interrupt(*_: Any) -> None:
     raise KeyboardInterrupt
 
 
-def _replay(options: ReplayOptions, shape: str, values: dict[str, Value], params_file: Path | None) -> ReplayResult:
+def _replay(
+    options: ReplayOptions,
+    shape: str,
+    values: dict[str, Value],
+    params_file: Path | None,
+    health: Literal["", "watch", "correct"] = "",
+) -> ReplayResult:
     _check_output(Path(options.bag), Path(options.output))
     require_ros()
     from stereo_depth_ros.nodes.replay.live import replay_through_graph  # needs rclpy
 
     config = pipeline_config({**(read_params_file(params_file) if params_file else {}), **values})
     with progress_bar(f"playing, {shape}") as progress:
-        return replay_through_graph(options, shape, values, config, progress, params_file)
+        return replay_through_graph(options, shape, values, config, progress, params_file, health)
 
 
 def _finish(result: ReplayResult, json_file: Path | None, picture: Path | None = None) -> None:

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from rich.table import Table
 
-from stereo_depth_ros.config import STAGE_CONFIGS, parameter_infos
+from stereo_depth_ros.config import CONFIGS, parameter_infos
 from stereo_depth_ros.io.bag_info import BagInfo
 from stereo_depth_ros.replay.report import ReplayResult
 
@@ -107,7 +107,7 @@ def info_values(info: BagInfo) -> dict[str, Any]:
 def parameters_table() -> Table:
     """Every parameter: default, range, meaning."""
     table = plain_table("parameter", "default:r", "range", "meaning")
-    for stage in STAGE_CONFIGS:
+    for stage in CONFIGS.values():
         for info in parameter_infos(stage):
             table.add_row(info.name, str(info.default), info.range_text, info.doc)
         table.add_section()
@@ -118,7 +118,7 @@ def parameters_values() -> list[dict[str, Any]]:
     """The same for JSON."""
     return [
         dataclasses.asdict(info) | {"type": info.type.__name__}
-        for stage in STAGE_CONFIGS
+        for stage in CONFIGS.values()
         for info in parameter_infos(stage)
     ]
 

@@ -20,6 +20,21 @@ __all__ = ["BagWriter"]
 _COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 
 
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+# Keep the last one, reliable, transient local, in the numbers of rmw, as rosbag2 writes it
+_LATCHED = f"""\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {_FOREVER}
+  lifespan: {_FOREVER}
+  liveliness: 1
+  liveliness_lease_duration: {_FOREVER}
+  avoid_ros_namespace_conventions: false
+"""
+
+
 class BagWriter:
     """One MCAP file, profile ``ros2``: CDR messages, ``ros2msg`` schemas with every nested definition.
 
@@ -61,14 +76,22 @@ class BagWriter:
         self._writer.start(profile="ros2", library="stereo_depth_ros")
 
     def write_raw(
-        self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int, publish_time_ns: int | None = None
+        self,
+        topic: str,
+        msgtype: str,
+        cdr: bytes,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+        latched: bool = False,
     ) -> None:
         """Write a serialised message; ``publish_time_ns`` is the log time where it is not given.
+
+        A topic whose first message is ``latched`` is played to subscribers that come late, too.
 
         Raises:
             BagError: the type has no known definition, or the topic already carries another type.
         """
-        channel = self._channel(topic, msgtype)
+        channel = self._channel(topic, msgtype, latched)
         sequence = self._sequences[channel] = self._sequences.get(channel, 0) + 1
         publish_time = log_time_ns if publish_time_ns is None else publish_time_ns
         self._writer.add_message(channel, log_time_ns, cdr, publish_time, sequence)
@@ -105,12 +128,12 @@ class BagWriter:
             self._writer.finish()  # type: ignore[no-untyped-call]
         return True
 
-    def _channel(self, topic: str, msgtype: str) -> int:
+    def _channel(self, topic: str, msgtype: str, latched: bool) -> int:
         if topic not in self._channels:
             schema = self._schema(msgtype)
             # rosbag2 reads both keys; without a profile it plays with its default QoS
             metadata = {
-                "offered_qos_profiles": "",
+                "offered_qos_profiles": _LATCHED if latched else "",
                 "topic_type_hash": self._types.typestore.hash_rihs01(msgtype),
             }
             self._channels[topic] = (msgtype, self._writer.register_channel(topic, "cdr", schema, metadata))

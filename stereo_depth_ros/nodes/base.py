@@ -75,6 +75,7 @@ class StereoNode(Node):  # type: ignore[misc]
         self._inputs: list[_Input] = []
         self.on_idle: list[Callable[[], object]] = []  # called when no output is wanted any more
         self._awake = False
+        self._sleepless = False
         self.create_timer(_SILENCE_S, self._report_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def add_output(self, message_type: Any, topic: str) -> Output:
@@ -105,8 +106,13 @@ class StereoNode(Node):  # type: ignore[misc]
         if resolved == self.resolve_topic_name(right):
             raise TopicError(f"{left} and {right} are both {resolved}: remap them to different topics")
 
+    def stay_awake(self) -> None:
+        """Keep the inputs subscribed whoever listens; to be called when all of them are added."""
+        self._sleepless = True
+        self._follow_demand()
+
     def _follow_demand(self) -> None:
-        demand = any(output.wanted for output in self._outputs)
+        demand = self._sleepless or any(output.wanted for output in self._outputs)
         for item in self._inputs:
             wanted = demand and item.wanted()
             if wanted and item.subscription is None:

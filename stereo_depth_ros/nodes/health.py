@@ -28,11 +28,18 @@ class Health:
 
     Args:
         node: logs and publishes.
+
+    Attributes:
+        counters: by name.
+        facts: what else is published of the node, by name.
+        warning: what is not right though the node works; empty for nothing.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self.counters: Counter[str] = Counter()
+        self.facts: dict[str, str] = {}
+        self.warning = ""
         self._timings_ms: dict[str, deque[float]] = {}
         self._said_at: dict[str, float] = {}
         self._last_complaint = ""
@@ -79,15 +86,16 @@ class Health:
 
     def publish(self) -> None:
         """Publish counters and timings on /diagnostics."""
-        values = {name: str(count) for name, count in sorted(self.counters.items())}
+        values = {**self.facts, **{name: str(count) for name, count in sorted(self.counters.items())}}
         for stage, times in self._timings_ms.items():
             p50, p95 = np.percentile(np.array(times), (50, 95))
             values |= {f"{stage} p50 ms": f"{p50:.3f}", f"{stage} p95 ms": f"{p95:.3f}"}
         complaining = time.monotonic() - max(self._said_at.values(), default=-_QUIET_S) < _QUIET_S
+        healthy = DiagnosticStatus.WARN if self.warning else DiagnosticStatus.OK
         status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if complaining else DiagnosticStatus.OK,
+            level=DiagnosticStatus.ERROR if complaining else healthy,
             name=self._node.get_fully_qualified_name(),
-            message=self._last_complaint if complaining else "ok",
+            message=self._last_complaint if complaining else self.warning or "ok",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
-from stereo_depth_ros.config import STAGE_CONFIGS, ParameterInfo, parameter_infos, replace_checked, unknown_parameter
+from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos, replace_checked, unknown_parameter
 from stereo_depth_ros.errors import ConfigError
 
 __all__ = ["NodeParameters"]
@@ -84,7 +84,7 @@ def _names(config: type) -> set[str]:
 
 def _refuse_unknown(overrides: dict[str, Any]) -> None:
     """One parameter file serves all nodes: refused is only what no stage knows."""
-    known = {*_ROS_OWN, *(name for config in STAGE_CONFIGS for name in _names(config))}
+    known = {*_ROS_OWN, *(name for config in CONFIGS.values() for name in _names(config))}
     for name in overrides:
         if name not in known and not name.startswith(_QOS_OVERRIDES):
             raise unknown_parameter(name, known)

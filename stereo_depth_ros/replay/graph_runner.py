@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 from stereo_depth_ros.errors import GraphError
 
@@ -22,6 +23,7 @@ SHAPES: Mapping[str, tuple[str, ...]] = {
     "fused": ("stereo_depth_node",),
     "separate": ("rectify_node", "disparity_node", "point_cloud_node", "depth_node"),
 }
+_HEALTH_NODE = "health_node"
 _READ_RAW_IMAGES = ("stereo_depth_node", "rectify_node")  # the others get what these publish, which is never compressed
 _STOP_TIMEOUT_S = 5.0  # for each of SIGINT, SIGTERM and SIGKILL
 _TAIL_LINES = 12
@@ -35,6 +37,7 @@ class GraphProcesses:
         shape: "fused" or "separate".
         parameters: ROS parameters for every node of the shape; ``image_transport`` goes to those that read raw images.
         params_file: a ROS parameter file for every node; ``parameters`` wins over it.
+        health: "watch" runs health_node beside them; "correct" has it publish the camera infos to rectify with, too.
         env: environment variables on top of this process's own.
         log_dir: folder for one log file a node; made when missing.
 
@@ -48,11 +51,14 @@ class GraphProcesses:
         parameters: Mapping[str, bool | int | float | str],
         log_dir: Path,
         params_file: Path | None = None,
+        health: Literal["", "watch", "correct"] = "",
         env: Mapping[str, str] | None = None,
     ) -> None:
         if shape not in SHAPES:
             raise GraphError(f"shape {shape!r} is none of {', '.join(SHAPES)}: take one of them")
         self.shape = shape
+        self._nodes = (*SHAPES[shape], _HEALTH_NODE) if health else SHAPES[shape]
+        self._correct = health == "correct"
         self._parameters = dict(parameters)
         self._params_file = params_file
         self._env = {**os.environ, **(env or {})}
@@ -62,7 +68,7 @@ class GraphProcesses:
     def __enter__(self) -> GraphProcesses:
         self._log_dir.mkdir(parents=True, exist_ok=True)
         try:
-            for node in SHAPES[self.shape]:
+            for node in self._nodes:
                 self._processes[node] = self._start(node)
         except BaseException:
             self.stop()
@@ -136,6 +142,10 @@ class GraphProcesses:
         for name, value in self._parameters.items():
             if name != "image_transport" or node in _READ_RAW_IMAGES:
                 command += ["-p", f"{name}:={_ros_text(value)}"]
+        if self._correct and node == _HEALTH_NODE:
+            command += ["-p", "auto_correct:=true"]
+        if self._correct and node in _READ_RAW_IMAGES:
+            command += ["-r", "right/camera_info:=right/camera_info_corrected"]
         return command
 
     def _tail(self, node: str) -> str:

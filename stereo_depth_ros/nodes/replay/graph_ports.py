@@ -12,9 +12,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import Float64MultiArray
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
@@ -33,8 +34,14 @@ _OUTPUTS = {
     "depth/camera_info": (CameraInfo, "sensor_msgs/msg/CameraInfo"),
     "points2": (PointCloud2, "sensor_msgs/msg/PointCloud2"),
 }
+# What health_node says where it runs: recorded as it comes; whether it is latched
+_NOTES = {
+    "health/row_error": (Float64MultiArray, "std_msgs/msg/Float64MultiArray", False),
+    "health/correction": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray", True),
+}
 _INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE)
+_LATCHED_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MOST_COMPLAINTS = 3  # what comes later usually follows from these
 
 _UNSUBSCRIBE_TIMEOUT_S = 1.0  # somebody else may be listening, and the nodes stay awake
@@ -79,6 +86,15 @@ class GraphPorts:
             )
             for topic, (message_type, _) in _OUTPUTS.items()
         }
+        for topic, (message_type, _, latched) in _NOTES.items():
+            node.create_subscription(
+                message_type,
+                topic,
+                lambda data, topic=topic: self._note(topic, data),
+                _LATCHED_QOS if latched else _QOS,
+                raw=True,
+            )
+        self._sent_ns = 0
         self._statuses: dict[str, Any] = {}
         self._complaints: list[str] = []
         node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 10)
@@ -94,6 +110,7 @@ class GraphPorts:
 
     def send_all_but_last(self, pair: SerializedPair) -> None:
         """Publish the time, both camera infos and the left image."""
+        self._sent_ns = pair.stamp_ns
         if self._clock is not None:
             self._clock.publish(_clock_message(max(pair.stamp_ns, pair.right_stamp_ns)))
         for field in ("left_info", "right_info"):
@@ -167,6 +184,10 @@ class GraphPorts:
         now_ns, stamp_ns = time.monotonic_ns(), cdr_stamp_ns(data)
         if self.on_output(topic, stamp_ns, now_ns):
             self._recorder.write(self._subscriptions[topic].topic_name, _OUTPUTS[topic][1], data, stamp_ns)
+
+    def _note(self, topic: str, data: bytes) -> None:
+        _, msgtype, latched = _NOTES[topic]
+        self._recorder.write(self._node.resolve_topic_name(topic), msgtype, data, self._sent_ns, latched)
 
     def _receive_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Literal
 
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.nodes.replay_node import replay
@@ -28,6 +29,7 @@ def replay_through_graph(
     config: PipelineConfig,
     progress: Callable[[int, int], None],
     params_file: Path | None = None,
+    health: Literal["", "watch", "correct"] = "",
 ) -> ReplayResult:
     """Start the nodes, play, stop the nodes.
 
@@ -38,6 +40,7 @@ def replay_through_graph(
         config: what ``parameters`` and ``params_file`` come to.
         progress: called with pairs sent and pairs to send (at most).
         params_file: a ROS parameter file for the nodes.
+        health: see :class:`GraphProcesses`.
 
     Raises:
         BagError, TopicError: nothing to play; before any node is started.
@@ -52,7 +55,7 @@ def replay_through_graph(
         all_parameters["use_sim_time"] = True
     with (
         tempfile.TemporaryDirectory(prefix="stereo-depth-") as logs,
-        GraphProcesses(shape, all_parameters, Path(logs), params_file) as graph,
+        GraphProcesses(shape, all_parameters, Path(logs), params_file, health) as graph,
     ):
         graph.wait_until_ready()
         return replay(options, progress, graph.check, config)

@@ -17,7 +17,7 @@ from stereo_depth_ros.io.bag_writer import BagWriter
 __all__ = ["Recorder"]
 
 _QUEUE_SIZE = 64  # messages; about eight pairs with all their outputs
-_Item: TypeAlias = tuple[str, str, bytes, int]
+_Item: TypeAlias = tuple[str, str, bytes, int, None, bool]
 
 
 class Recorder:
@@ -58,15 +58,15 @@ class Recorder:
             self._raise_error()
         self._writer.__exit__(kind, error, trace)
 
-    def write(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int) -> None:
-        """Hand a serialised message to the writing thread.
+    def write(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int, latched: bool = False) -> None:
+        """Hand a serialised message to the writing thread; ``latched`` as of the bag.
 
         Raises:
             BagError: an earlier message could not be written.
         """
         if self._writer is not None:
             self._raise_error()
-            self._queue.put((topic, msgtype, cdr, log_time_ns))
+            self._queue.put((topic, msgtype, cdr, log_time_ns, None, latched))
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a record of names and values; call it before the first message."""

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The closed loop of corrections: pairs of a camera that has turned, rectified with the rig that the loop gives."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo_depth_ros.calibration.auto_correction import MIN_FRAMES, STALE_PAIRS, AutoCorrection
+from stereo_depth_ros.calibration.misalignment import CorrectionLimits
+from stereo_depth_ros.calibration.row_error import RowMatches
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import F64
+
+K_LEFT = np.array([[500.0, 0, 322], [0, 505, 207], [0, 0, 1]])
+K_RIGHT = np.array([[520.0, 0, 310], [0, 517, 222], [0, 0, 1]])
+D = [-0.1, 0.02, 0.001, -0.0005, 0.0]
+POSE = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))[0], [-0.12, 0.004, 0.002]
+RIG = StereoRig.from_calibration(K_LEFT, D, K_RIGHT, D, *POSE, (640, 430))
+
+
+def pair(seed: int, rig: StereoRig, w: F64, noise_px: float = 0.15) -> RowMatches:
+    """Rows of a rectified pair: the right camera has turned by w since RIG was calibrated, and ``rig`` rectifies."""
+    random = np.random.default_rng(seed)
+    depth_m = random.uniform(0.8, 12, 250)
+    left = random.uniform((30, 20), (610, 410), (250, 2))
+    points = np.column_stack((left, np.ones(250))) @ np.linalg.inv(RIG.left.P[:, :3]).T * depth_m[:, None]
+    rays = (points - [RIG.baseline_m, 0, 0]) @ cv2.Rodrigues(w)[0].T @ RIG.right.R
+    raw = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), RIG.right.K, RIG.right.D)[0]
+    eye = rig.right
+    right = cv2.undistortPoints(raw, eye.K, eye.D, None, eye.R, eye.P[:, :3])[:, 0]
+    noise = noise_px * random.standard_normal((2, 250, 2))
+    return RowMatches(left + noise[0], np.asarray(right + noise[1], np.float64))
+
+
+def run(loop: AutoCorrection, w: F64, pairs: int, seed: int = 0) -> list[bool]:
+    """Whether each pair led to a correction; the first pairs after one are rectified as before."""
+    used, changed = [loop.rig] * STALE_PAIRS, []
+    for number in range(pairs):
+        used.append(loop.rig)
+        changed.append(loop.look(pair(seed + number, used[-1 - STALE_PAIRS], w))[1])
+    return changed
+
+
+def row_error(rig: StereoRig, w: F64) -> float:
+    return float(np.sqrt(np.mean(pair(999, rig, w, noise_px=0).errors_px ** 2)))
+
+
+@pytest.mark.parametrize("w_deg", [[0.3, 0, 0], [0, 0.4, 0], [0, 0, 0.3], [-0.5, 0.3, 0.4]])
+def test_rows_come_together_and_stay(w_deg: list[float]) -> None:
+    w, loop = np.radians(w_deg), AutoCorrection(RIG, reference_yaw_deg=0.0)
+    changed = run(loop, w, 40)
+    assert changed.index(True) == MIN_FRAMES - 1
+    assert 1 <= sum(changed) <= 2
+    assert not any(changed[20:])
+    assert row_error(RIG, w) > 0.2
+    assert row_error(loop.rig, w) < 0.05
+    np.testing.assert_allclose(loop.correction.rotation_deg, w_deg, atol=0.03)
+    assert loop.correction.steps == sum(changed)
+    assert loop.refusal == ""
+
+
+def test_without_a_reference_yaw_rows_come_together_too() -> None:
+    w, loop = np.radians([0.0, 0.5, 0.0]), AutoCorrection(RIG)
+    run(loop, w, 30)
+    assert row_error(loop.rig, w) < 0.1
+    assert abs(loop.correction.shift_px[0]) > 2  # in place of the disparities
+
+
+def test_nothing_is_done_without_need() -> None:
+    loop = AutoCorrection(RIG)
+    assert not any(run(loop, np.radians([0.02, 0.05, -0.02]), 60))
+    assert loop.rig is RIG
+    assert loop.correction.steps == 0
+    np.testing.assert_array_equal(loop.correction.rotation_deg, 0)
+
+
+def test_noise_is_not_chased() -> None:
+    """After one correction, hundreds of pairs later, it is still that one."""
+    w, loop = np.radians([0.3, 0, 0.2]), AutoCorrection(RIG)
+    run(loop, w, 20)
+    steps = loop.correction.steps
+    run(loop, w, 200, seed=500)
+    assert loop.correction.steps == steps
+
+
+def test_pairs_on_their_way_are_not_counted_twice() -> None:
+    """They come after a correction and do not have it yet: taken for new, they would correct once more."""
+    w, loop = np.radians([0.3, 0, 0]), AutoCorrection(RIG)
+    run(loop, w, 12)
+    assert loop.correction.steps == 1
+    assert loop.correction.rotation_deg[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_second_blow_is_corrected_as_well() -> None:
+    loop = AutoCorrection(RIG)
+    run(loop, np.radians([0.3, 0, 0]), 30)
+    run(loop, np.radians([0.3, 0, -0.4]), 60, seed=100)
+    np.testing.assert_allclose(loop.correction.rotation_deg[[0, 2]], [0.3, -0.4], atol=0.03)
+
+
+def test_what_is_too_large_is_refused_and_nothing_changes() -> None:
+    loop = AutoCorrection(RIG, CorrectionLimits(rotation_deg=0.25))
+    assert not any(run(loop, np.radians([0.3, 0, 0]), 20))
+    assert loop.rig is RIG
+    assert "turned by 0." in loop.refusal
+    assert "corrected are up to 0.25" in loop.refusal
+
+
+def test_the_limit_is_of_all_corrections_together() -> None:
+    loop = AutoCorrection(RIG, CorrectionLimits(rotation_deg=0.5))
+    run(loop, np.radians([0.3, 0, 0]), 30)
+    kept = loop.rig
+    run(loop, np.radians([0.7, 0, 0]), 40, seed=100)
+    assert loop.rig is kept
+    assert "the corrections together come to 0.7" in loop.refusal
+    run(loop, np.radians([0.3, 0, 0]), 40, seed=200)
+    assert loop.refusal == ""
+
+
+def test_p_stays() -> None:
+    loop = AutoCorrection(RIG)
+    run(loop, np.radians([0.3, 0.2, 0.1]), 20)
+    np.testing.assert_array_equal(loop.rig.right.P, RIG.right.P)
+    assert loop.rig.left is RIG.left
