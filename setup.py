@@ -16,6 +16,7 @@ NODES = (
     "stereo_depth_node",
     "feature_node",
     "health_node",
+    "calibration_node",
     "replay_node",
 )
 # setup.py may be a link in a build folder (colcon --symlink-install)

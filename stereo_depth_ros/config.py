@@ -19,6 +19,7 @@ from stereo_depth_ros.errors import ConfigError
 
 __all__ = [
     "CONFIGS",
+    "CalibrationConfig",
     "CloudConfig",
     "DepthConfig",
     "HealthConfig",
@@ -329,6 +330,44 @@ class HealthConfig(_Checked):
 
 
 @dataclass(frozen=True)
+class CalibrationConfig(_Checked):
+    """Calibration with a board, which calibration_node does."""
+
+    board: str = _parameter(
+        "chessboard", "What is shown to the cameras.", choices=("chessboard", "charuco", "aprilgrid"), run_time=False
+    )
+    board_size: str = _parameter(
+        "9x6", "Columns x rows: inner corners of a chessboard, squares of a charuco board, tags.", run_time=False
+    )
+    board_square: float = _parameter(
+        0.025, "Side of a square, or of a tag of an aprilgrid.", low=0.001, high=1.0, unit="m", run_time=False
+    )
+    board_marker: float = _parameter(
+        0.0, "Side of a marker of a charuco board; 0 is 3/4 of a square.", low=0.0, high=1.0, unit="m", run_time=False
+    )
+    board_dictionary: str = _parameter(
+        "DICT_4X4_50", "Markers of a charuco board, as OpenCV names them.", run_time=False
+    )
+    board_spacing: float = _parameter(
+        0.3, "Gap between the tags of an aprilgrid, over a tag's side.", low=0.01, high=2.0, run_time=False
+    )
+    lens_model: str = _parameter(
+        "plumb_bob",
+        "Distortion model of both lenses.",
+        choices=("plumb_bob", "rational_polynomial", "equidistant"),
+        run_time=False,
+    )
+    max_board_motion: float = _parameter(
+        2.0,
+        "Way of the corners between two pairs above which a view is not taken; 0 takes all.",
+        low=0.0,
+        high=100.0,
+        unit="px",
+    )
+    calibration_folder: str = _parameter("calibration", "Where ~/save writes left.yaml, right.yaml and the report.")
+
+
+@dataclass(frozen=True)
 class PipelineConfig:
     """All stages of the path."""
 
@@ -342,4 +381,5 @@ class PipelineConfig:
 CONFIGS: Mapping[str, type] = {
     **{item.name: type(item.default) for item in dataclasses.fields(PipelineConfig)},
     "health": HealthConfig,
+    "calibration": CalibrationConfig,
 }

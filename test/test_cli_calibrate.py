@@ -105,7 +105,7 @@ def test_bag(run: Run, tmp_path: Path, photographs: list[tuple[U8, U8]]) -> None
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--size", "9"), "--size '9' is not columns x rows: write it as 9x6"),
+        (("--size", "9"), "board size '9' is not columns x rows: write it as 9x6"),
         (("--board", "circles"), "'circles' is none of chessboard, charuco, aprilgrid"),
         (("--model", "fisheye"), "'fisheye' is none of plumb_bob"),
         (("--square", "25"), "25 mm are 0.025"),

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.types import F64, U8
 
-__all__ = ["BOARDS", "Board", "Corners", "check_board_size", "create_board", "refine_corners"]
+__all__ = ["BOARDS", "Board", "Corners", "check_board_size", "create_board", "parse_board_size", "refine_corners"]
 
 BOARDS = ("chessboard", "charuco", "aprilgrid")
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
@@ -89,6 +90,18 @@ def create_board(
     if kind not in makers:
         raise ConfigError(f"board {kind!r} is none of {', '.join(BOARDS)}: name one of them")
     return makers[kind]()
+
+
+def parse_board_size(text: str) -> tuple[int, int]:
+    """Columns and rows of "9x6".
+
+    Raises:
+        ConfigError: another text.
+    """
+    match = re.fullmatch(r"(\d+)[xX](\d+)", text.strip())
+    if not match:
+        raise ConfigError(f"board size {text!r} is not columns x rows: write it as 9x6")
+    return int(match[1]), int(match[2])
 
 
 def check_board_size(size: tuple[int, int], square_m: float, smallest: int, counted: str) -> None:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from stereo_depth_ros.calibration.boards import BOARDS, Board, create_board
+from stereo_depth_ros.calibration.boards import BOARDS, Board, create_board, parse_board_size
 from stereo_depth_ros.calibration.calibration_files import save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS
@@ -20,7 +19,7 @@ from stereo_depth_ros.calibration.projection import MODELS, check_model
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
 from stereo_depth_ros.cli.output import messages, progress_bar, show
-from stereo_depth_ros.errors import BagError, CalibrationError, ConfigError
+from stereo_depth_ros.errors import BagError, CalibrationError
 from stereo_depth_ros.io.stereo_pictures import open_pictures
 from stereo_depth_ros.view.coverage_picture import coverage_picture
 from stereo_depth_ros.view.drawing import save_picture
@@ -76,7 +75,7 @@ def calibrate_command(
       stereo-depth calibrate drive.mcap --board aprilgrid --size 6x6 --square 0.088 --model equidistant -o calibration
       stereo-depth calibrate pictures --board charuco --size 8x11 --square 0.03 --marker 0.022 -o out --json -
     """
-    counts = _parsed_size(size)
+    counts = parse_board_size(size)
 
     def board_of_size(counts: tuple[int, int]) -> Board:
         return create_board(board, counts, square, marker_m=marker, dictionary=dictionary, spacing=spacing)
@@ -99,13 +98,6 @@ def calibrate_command(
     warnings += [f"{view.name} dropped: {view.reason}" for view in result.dropped]
     for text in (*warnings, *result.warnings):
         messages.print(f"warning: {text}", markup=False)
-
-
-def _parsed_size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d+)[xX](\d+)", text.strip())
-    if not match:
-        raise ConfigError(f"--size {text!r} is not columns x rows: write it as 9x6")
-    return int(match[1]), int(match[2])
 
 
 def _warnings(found: FoundViews) -> Iterator[str]:

@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrates a live pair of cameras: collects views of a board, says what is missing, solves, saves, commits."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import Image
+from sensor_msgs.srv import SetCameraInfo
+from std_srvs.srv import Trigger
+
+from stereo_depth_ros.calibration.boards import create_board, parse_board_size
+from stereo_depth_ros.calibration.calibration_files import save_calibration
+from stereo_depth_ros.calibration.calibration_result import StereoCalibration
+from stereo_depth_ros.calibration.live_calibration import LiveCalibration, Look
+from stereo_depth_ros.camera_model import CameraModel
+from stereo_depth_ros.config import CalibrationConfig
+from stereo_depth_ros.errors import CalibrationError, StereoDepthError
+from stereo_depth_ros.io.camera_info_message import camera_info_message
+from stereo_depth_ros.io.image_message import image_message, to_gray
+from stereo_depth_ros.io.message_types import stamp_ns
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.types import U8, Frame
+from stereo_depth_ros.view.coverage_picture import coverage_picture
+from stereo_depth_ros.view.drawing import save_picture
+from stereo_depth_ros.view.live_picture import live_picture
+
+__all__ = ["CalibrationNode", "main"]
+
+COMMIT_TIMEOUT_S = 5.0  # for a driver to appear, and again for its answer
+
+
+class CalibrationNode(StereoNode):
+    """Subscribes {left,right}/image_raw, publishes calibration/image: views taken so far, and what to do next.
+
+    Services: ~/calibrate solves with the views taken, ~/save writes the files of `stereo-depth calibrate`, ~/commit
+    sends the camera infos to {left,right}/set_camera_info of the drivers. Boards are looked for in a thread of its own;
+    pairs that come meanwhile are passed over.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("calibration_node", CalibrationConfig)
+        self.refuse_equal_topics("left/image_raw", "right/image_raw")
+        config = self._config = self.parameters.get(CalibrationConfig)
+        board = create_board(
+            config.board,
+            parse_board_size(config.board_size),
+            config.board_square,
+            marker_m=config.board_marker or None,
+            dictionary=config.board_dictionary,
+            spacing=config.board_spacing,
+        )
+        self._live = LiveCalibration(board, config.lens_model, config.max_board_motion)
+        self._lock = threading.Lock()  # of the live calibration
+        self._picture = self.add_output(Image, "calibration/image")
+        pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
+        add_image_input(self, "left/image_raw", pairs.add_left)
+        add_image_input(self, "right/image_raw", pairs.add_right)
+        for name, act in (("calibrate", self._calibrate), ("save", self._save), ("commit", self._commit)):
+            self.create_service(Trigger, f"~/{name}", self._answering(act))
+        self._newest: queue.Queue[tuple[Any, Any] | None] = queue.Queue(1)
+        self._worker = threading.Thread(target=self._work, name="board", daemon=True)
+        self._worker.start()
+        self._say("waiting for pictures")
+        self.stay_awake()
+
+    def destroy_node(self) -> None:
+        """Ends the thread, then the node."""
+        self._replace_newest(None)
+        self._worker.join()
+        super().destroy_node()
+
+    def _on_pair(self, left: Any, right: Any) -> None:
+        self._replace_newest((left, right))
+
+    def _replace_newest(self, item: tuple[Any, Any] | None) -> None:
+        """What waits is older: it is dropped."""
+        while True:
+            try:
+                self._newest.put_nowait(item)
+                return
+            except queue.Full:
+                try:
+                    self._newest.get_nowait()
+                    self.health.counters["pairs passed over"] += 1
+                except queue.Empty:
+                    pass
+
+    def _work(self) -> None:
+        while (pair := self._newest.get()) is not None:
+            with self.health.guard():
+                self._look(*pair)
+
+    def _look(self, left: Any, right: Any) -> None:
+        frames = [decode_from(self, f"{eye}/image_raw", message) for eye, message in (("left", left), ("right", right))]
+        grays = [to_gray(frame) for frame in frames]
+        with self._lock, self.health.timed("look for the board"):
+            look = self._live.look(f"{stamp_ns(left.header) / 1e9:.3f} s", *grays)
+            self._say(look.value)
+            if look is Look.TAKEN:
+                advice = "; ".join(self._live.advice) or "enough views: call ~/calibrate"
+                self.get_logger().info(f"view {len(self._live.views)} taken; {advice}")
+            if self._picture.wanted:
+                self._publish_picture(frames[0], grays[0], look)
+
+    def _publish_picture(self, frame: Frame, gray: U8, look: Look) -> None:
+        live = self._live
+        taken = [view.left.image_px for view in live.views]
+        seen = live.seen.image_px if live.seen is not None else None
+        picture = live_picture(gray, taken, seen, live.coverage, look.value, live.advice)
+        self._picture.publish(image_message(self.types, picture, "bgr8", frame.stamp_ns, frame.frame_id))
+
+    def _say(self, words: str) -> None:
+        """On /diagnostics."""
+        coverage = self._live.coverage
+        self.health.facts = {
+            "views": str(len(self._live.views)),
+            **{f"coverage {name}": f"{getattr(coverage, name):.2f}" for name in ("x", "y", "size", "skew")},
+            "missing": "; ".join(self._live.advice) or "nothing: call ~/calibrate",
+            "newest pair": words,
+            "calibrated": "no" if self._live.result is None else _in_words(self._live.result),
+        }
+
+    def _answering(self, act: Callable[[], str]) -> Callable[[Any, Any], Any]:
+        """A service callback: what the act says, or what stands in its way."""
+
+        def answer(_: Any, response: Any) -> Any:
+            try:
+                with self._lock:
+                    response.success, response.message = True, act()
+            except StereoDepthError as error:
+                response.success, response.message = False, str(error)
+            if response.success:
+                self.get_logger().info(response.message)
+            else:
+                self.get_logger().error(response.message)
+            return response
+
+        return answer
+
+    def _calibrate(self) -> str:
+        result = self._live.calibrate()
+        self._say("calibrated")
+        dropped = "".join(f"; {view.name} dropped: {view.reason}" for view in result.dropped)
+        better = "".join(f"; to do better: {text}" for text in self._live.advice)
+        return f"{_in_words(result)}{dropped}{better}"
+
+    def _save(self) -> str:
+        result, folder = self._result(), Path(self.parameters.get(CalibrationConfig).calibration_folder)
+        save_calibration(result, folder)
+        save_picture(folder / "coverage.png", coverage_picture(result))
+        return f"left.yaml, right.yaml, calibration.json, .txt and coverage.png written to {folder.resolve()}"
+
+    def _commit(self) -> str:
+        """By a node of its own: this one is busy with the answer."""
+        rig = self._result().rig
+        node = rclpy.create_node(f"{self.get_name()}_commit", context=self.context, use_global_arguments=False)
+        executor = SingleThreadedExecutor(context=self.context)
+        executor.add_node(node)
+        try:
+            for eye, camera in (("left", rig.left), ("right", rig.right)):
+                self._send(node, executor, self.resolve_service_name(f"{eye}/set_camera_info"), camera)
+        finally:
+            executor.shutdown()
+            node.destroy_node()
+        return "both drivers have taken their camera infos"
+
+    def _send(self, node: Any, executor: Any, service: str, camera: CameraModel) -> None:
+        client = node.create_client(SetCameraInfo, service)
+        if not client.wait_for_service(COMMIT_TIMEOUT_S):
+            raise CalibrationError(
+                f"no service {service} within {COMMIT_TIMEOUT_S:g} s: start the camera driver, remap {service}, or "
+                "take the files of ~/save"
+            )
+        info = camera_info_message(self.types, camera, self.get_clock().now().nanoseconds)
+        future, end = client.call_async(SetCameraInfo.Request(camera_info=info)), time.monotonic() + COMMIT_TIMEOUT_S
+        while not future.done() and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.1)
+        if not future.done():
+            raise CalibrationError(f"{service} gave no answer within {COMMIT_TIMEOUT_S:g} s: look at the driver's log")
+        if not future.result().success:
+            raise CalibrationError(f"{service} refused: {future.result().status_message}: look at the driver's log")
+
+    def _result(self) -> StereoCalibration:
+        if self._live.result is None:
+            raise CalibrationError("there is no calibration yet: call ~/calibrate first")
+        return self._live.result
+
+
+def _in_words(result: StereoCalibration) -> str:
+    return (
+        f"rms {result.rms_stereo_px:.3f} px, rows {result.epipolar_rms_px:.3f} px, baseline "
+        f"{1e3 * result.baseline_m:.2f} mm, {len(result.views)} views"
+    )
+
+
+def main() -> int:
+    """Run the node."""
+    return run(CalibrationNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The calibration node in a live graph: from pictures of a board to files and to the drivers of the cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from graph_harness import NS_PER_S, Graph
+from rendered_boards import FISHEYE, SIZE, SQUARE_M, chessboard_points, chessboard_print, photograph, poses
+from sensor_msgs.msg import Image
+from sensor_msgs.srv import SetCameraInfo
+from std_srvs.srv import Trigger
+
+from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.io.image_message import image_message
+from stereo_depth_ros.nodes import calibration_node
+from stereo_depth_ros.nodes.calibration_node import CalibrationNode
+from stereo_depth_ros.nodes.ros_types import RclpyTypes
+from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.types import U8
+
+pytestmark = pytest.mark.graph
+
+PARAMETERS = {
+    **{"board_size": "7x5", "board_square": SQUARE_M, "lens_model": "equidistant", "max_board_motion": 0.0},
+}
+
+
+@pytest.fixture(scope="module")
+def photographs() -> list[tuple[U8, U8]]:
+    print_ = chessboard_print(7, 5)
+    all_poses = poses(8, chessboard_points(7, 5), FISHEYE, seed=3)
+    return [photograph(print_, 40, SQUARE_M, FISHEYE, pose) for pose in all_poses]
+
+
+def messages(pair: tuple[U8, U8], number: int) -> dict[str, Any]:
+    types, stamp_ns = RclpyTypes(), number * NS_PER_S // 10
+    return {
+        f"{eye}/image_raw": image_message(types, pixels, "mono8", stamp_ns, eye)
+        for eye, pixels in zip(("left", "right"), pair, strict=True)
+    }
+
+
+def facts(graph: Graph) -> dict[str, str]:
+    return {item.key: item.value for item in graph.status().values}
+
+
+def show(graph: Graph, pairs: list[tuple[U8, U8]]) -> None:
+    """Each pair once the one before was looked at."""
+    for pair in pairs:
+        wait_for_look(graph, pair, looks(graph) + 1)
+
+
+def wait_for_look(graph: Graph, pair: tuple[U8, U8], count: int) -> None:
+    graph.send(messages(pair, count))
+    graph.wait(lambda: looks(graph) == count, f"look number {count}")
+
+
+def looks(graph: Graph) -> int:
+    """Pairs looked at so far."""
+    return len(graph.nodes[0].health._timings_ms.get("look for the board", ()))
+
+
+def trigger(graph: Graph, name: str) -> tuple[bool, str]:
+    answer = graph.call(Trigger, f"/calibration_node/{name}", Trigger.Request())
+    return answer.success, answer.message
+
+
+def test_from_pictures_to_files_and_drivers(photographs: list[tuple[U8, U8]], tmp_path: Path) -> None:
+    with Graph(CalibrationNode, parameters={**PARAMETERS, "calibration_folder": str(tmp_path / "out")}) as graph:
+        pictures = graph.listen("calibration/image", Image)
+        show(graph, photographs[:3])
+        told = facts(graph)
+        assert told["views"] == "3"
+        assert "show 17 more views of 20" in told["missing"]
+        assert float(told["coverage size"]) > 0
+        assert trigger(graph, "save") == (False, "there is no calibration yet: call ~/calibrate first")
+        success, text = trigger(graph, "calibrate")
+        assert not success
+        assert "3 views so far, at least 5 are needed" in text
+        show(graph, [photographs[0]] * 3 + photographs[3:])
+        graph.wait(lambda: pictures, "picture of the views")
+        assert (pictures[-1].encoding, pictures[-1].width) == ("bgr8", SIZE[0])
+        success, text = trigger(graph, "calibrate")
+        assert success, text
+        assert "baseline 11" in text and "to do better" in text
+        success, text = trigger(graph, "save")
+        assert success and str(tmp_path / "out") in text
+        rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
+        assert rig.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=1e-3)
+        assert cv2.imread(str(tmp_path / "out" / "coverage.png")) is not None
+        committed = commit(graph)
+        assert committed.keys() == {"left", "right"}
+        np.testing.assert_array_equal(committed["right"].p, rig.right.P.ravel())
+        np.testing.assert_array_equal(committed["left"].k, rig.left.K.ravel())
+        assert list(committed["left"].d) == list(rig.left.D)
+        assert committed["right"].distortion_model == "equidistant"
+        assert "rms" in facts(graph)["calibrated"]
+
+
+def commit(graph: Graph) -> dict[str, Any]:
+    """What two drivers receive. They run in a thread of their own: the node waits for them in its service."""
+    import threading
+
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+
+    taken: dict[str, Any] = {}
+
+    def take(eye: str) -> Any:
+        def answer(request: Any, response: Any) -> Any:
+            taken[eye] = request.camera_info
+            response.success = True
+            return response
+
+        return answer
+
+    drivers = rclpy.create_node("drivers", use_global_arguments=False)
+    for eye in ("left", "right"):
+        drivers.create_service(SetCameraInfo, f"{eye}/set_camera_info", take(eye))
+    executor = SingleThreadedExecutor()
+    executor.add_node(drivers)
+    done = threading.Event()
+
+    def spin() -> None:
+        while not done.is_set():
+            executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        assert trigger(graph, "commit") == (True, "both drivers have taken their camera infos")
+    finally:
+        done.set()
+        thread.join()
+        executor.shutdown()
+        drivers.destroy_node()
+    return taken
+
+
+def test_commit_without_drivers(photographs: list[tuple[U8, U8]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calibration_node, "COMMIT_TIMEOUT_S", 0.3)
+    with Graph(CalibrationNode, parameters=PARAMETERS) as graph:
+        show(graph, photographs)
+        assert trigger(graph, "calibrate")[0]
+        success, text = trigger(graph, "commit")
+        assert not success
+        assert "no service /left/set_camera_info within 0.3 s: start the camera driver" in text
+
+
+def test_a_folder_that_cannot_be_written(photographs: list[tuple[U8, U8]], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    parameters = {**PARAMETERS, "calibration_folder": str(tmp_path / "file")}
+    with Graph(CalibrationNode, parameters=parameters) as graph:
+        show(graph, photographs)
+        assert trigger(graph, "calibrate")[0]
+        success, text = trigger(graph, "save")
+        assert not success
+        assert "cannot be written" in text and "choose another folder" in text
+
+
+def test_what_is_wrong_with_pictures_is_told(photographs: list[tuple[U8, U8]]) -> None:
+    with Graph(CalibrationNode, parameters=PARAMETERS) as graph:
+        left, right = photographs[0]
+        show(graph, [(left, right)])
+        graph.send(messages((left, right[:-4]), 9))
+        graph.wait_error(r"the right picture is 400x296, those before were 400x300")
+        show_nothing = np.full_like(left, 70)
+        graph.send(messages((show_nothing, show_nothing), 10))
+        graph.wait(lambda: facts(graph)["newest pair"].startswith("no board is seen"), "word of an empty picture")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({"board_size": "9by6"}, "board size '9by6' is not columns x rows"),
+        ({"board": "circles"}, "board = 'circles' is none of"),
+        ({"board_square": 25.0}, r"board_square = 25\.0 is outside"),
+        ({"lens_model": "fisheye"}, "lens_model = 'fisheye' is none of"),
+    ],
+)
+def test_boards_that_cannot_be_end_the_start(parameters: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        Graph(CalibrationNode, parameters=parameters)

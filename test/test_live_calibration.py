@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration while a board is moved: which views are taken, what is said, the result; with rendered boards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rendered_boards import FISHEYE, SIZE, SQUARE_M, chessboard_points, chessboard_print, photograph, poses
+
+from stereo_depth_ros.calibration.boards import create_board
+from stereo_depth_ros.calibration.live_calibration import GOOD_VIEWS, LiveCalibration, Look
+from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.io.stereo_pictures import open_pictures
+from stereo_depth_ros.types import U8
+from stereo_depth_ros.view.live_picture import live_picture
+
+BOARD = create_board("chessboard", (7, 5), SQUARE_M)
+EMPTY = np.full(SIZE[::-1], 80, np.uint8)
+
+
+@pytest.fixture(scope="module")
+def photographs() -> list[tuple[U8, U8]]:
+    """Views that differ."""
+    print_ = chessboard_print(7, 5)
+    all_poses = poses(8, chessboard_points(7, 5), FISHEYE, seed=3)
+    return [photograph(print_, 40, SQUARE_M, FISHEYE, pose) for pose in all_poses]
+
+
+def live(max_motion_px: float = 0.0) -> LiveCalibration:
+    return LiveCalibration(BOARD, "equidistant", max_motion_px)
+
+
+def test_views_are_taken_and_solved(photographs: list[tuple[U8, U8]]) -> None:
+    collected = live()
+    looks = [collected.look(str(number), *pair) for number, pair in enumerate(photographs)]
+    assert looks.count(Look.TAKEN) == len(collected.views) >= 6
+    result = collected.calibrate()
+    assert collected.result is result
+    assert result.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=1e-3)
+    assert result.left.K[0, 0] == pytest.approx(FISHEYE.left[0], abs=1.0)
+    assert result.rms_stereo_px < 0.2
+
+
+def test_what_is_not_taken_is_said(photographs: list[tuple[U8, U8]]) -> None:
+    collected, (left, right) = live(), photographs[0]
+    assert collected.look("a", EMPTY, EMPTY) is Look.NOWHERE
+    assert collected.look("b", left, EMPTY) is Look.LEFT_ONLY
+    assert collected.look("c", EMPTY, right) is Look.RIGHT_ONLY
+    assert collected.look("d", left, right) is Look.TAKEN
+    assert collected.look("e", left, right) is Look.KNOWN
+    assert len(collected.views) == 1
+    assert "right eye" in Look.LEFT_ONLY.value
+    assert "left eye" in Look.RIGHT_ONLY.value
+
+
+def test_a_board_has_to_be_held_still(photographs: list[tuple[U8, U8]]) -> None:
+    collected = live(max_motion_px=2.0)
+    one, other = photographs[0], photographs[1]
+    assert [collected.look("x", *pair) for pair in (one, other, other, one, one)] == [
+        *(Look.MOVING, Look.MOVING, Look.TAKEN, Look.MOVING, Look.TAKEN),
+    ]
+
+
+def test_advice_names_what_is_missing(photographs: list[tuple[U8, U8]]) -> None:
+    collected = live()
+    assert collected.advice[0] == "show the board to both eyes"
+    assert collected.advice[-1] == f"show {GOOD_VIEWS} more views of {GOOD_VIEWS}"
+    collected.look("a", *photographs[0])
+    assert any("move the board to the" in text for text in collected.advice)
+    assert collected.advice[-1] == f"show {GOOD_VIEWS - 1} more views of {GOOD_VIEWS}"
+    assert not collected.ready
+
+
+def test_too_few_views_are_not_solved(photographs: list[tuple[U8, U8]]) -> None:
+    collected = live()
+    collected.look("a", *photographs[0])
+    with pytest.raises(CalibrationError, match=r"1 views so far, at least 5 are needed: .*show 19 more views"):
+        collected.calibrate()
+    assert collected.result is None
+
+
+def test_pictures_of_another_size(photographs: list[tuple[U8, U8]]) -> None:
+    collected, (left, right) = live(), photographs[0]
+    collected.look("a", left, right)
+    with pytest.raises(CalibrationError, match=r"the right picture is 400x299, those before were 400x300"):
+        collected.look("b", left, right[:-1])
+
+
+def test_picture_shows_views_and_advice(photographs: list[tuple[U8, U8]]) -> None:
+    collected, (left, right) = live(), photographs[0]
+    blank = live_picture(left, [], None, collected.coverage, "", collected.advice)
+    collected.look("a", left, right)
+    assert collected.seen is not None
+    taken = [view.left.image_px for view in collected.views]
+    picture = live_picture(left, taken, collected.seen.image_px, collected.coverage, Look.TAKEN.value, collected.advice)
+    assert picture.shape[1] == left.shape[1]
+    assert picture.shape[0] > left.shape[0] + 100
+    shown = (picture[: left.shape[0]] != blank[: left.shape[0]]).any(axis=2)
+    x, y = collected.seen.image_px.mean(axis=0)
+    rows, columns = np.nonzero(shown)
+    assert shown.sum() > 200
+    assert abs(rows.mean() - y) < 20 and abs(columns.mean() - x) < 20
+
+
+@pytest.mark.real_data
+def test_the_chessboards_of_opencv(stereo_data: Path) -> None:
+    """Shown one after the other: of 13 views those that differ are taken, and give the calibration of all."""
+    collected = LiveCalibration(create_board("chessboard", (9, 6), 0.025), "plumb_bob", 0.0)
+    for pair in open_pictures(stereo_data / "opencv_samples" / "chessboard_stereo"):
+        collected.look(pair.name, pair.left, pair.right)
+    assert 8 <= len(collected.views) <= 13
+    result = collected.calibrate()
+    assert result.rms_stereo_px <= 0.35
+    assert abs(1e3 * result.baseline_m - 83.2) <= 1
