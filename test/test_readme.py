@@ -28,7 +28,10 @@ from stereo_depth_ros.rectification import Rectifier
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
 # what a reader has, or gets by following the README
-OF_THE_READER = {"out/room.mcap", "out.mcap", "left.yaml", "right.yaml", "install/setup.bash"}
+OF_THE_READER = {
+    *("out/room.mcap", "out.mcap", "install/setup.bash"),
+    *("left.yaml", "right.yaml", "left.png", "right.png"),
+}
 WORKSPACE = "src/stereo_depth_ros/"
 FILE = re.compile(r"[\w~./-]*\w\.(?:bash|md|mcap|png|py|rst|toml|xml|yaml)\b")
 FOLDER = re.compile(r"`([\w./-]+)/`")
@@ -95,8 +98,11 @@ def test_make_targets_exist(target: str) -> None:
 
 def test_ros2_commands_name_nodes_launch_files_and_arguments_that_exist() -> None:
     lines = commands("ros2")
-    assert {line[0] for line in lines} == {"launch", "run"}
+    assert {line[0] for line in lines} == {"launch", "run", "service"}
     for verb, package, name, *arguments in lines:
+        if verb == "service":
+            assert name.split("/")[1] in setup_nodes()
+            continue
         assert package == "stereo_depth_ros"
         if verb == "run":
             assert name in setup_nodes()
@@ -128,9 +134,11 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
     pytest.importorskip("rclpy", reason="graph tests need ROS 2")
     from graph_harness import Graph
 
+    from stereo_depth_ros.nodes.calibration_node import CalibrationNode
     from stereo_depth_ros.nodes.depth_node import DepthNode
     from stereo_depth_ros.nodes.disparity_node import DisparityNode
     from stereo_depth_ros.nodes.feature_node import FeatureNode
+    from stereo_depth_ros.nodes.health_node import HealthNode
     from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
     from stereo_depth_ros.nodes.rectify_node import RectifyNode
     from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
@@ -139,7 +147,8 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
         found = {end.topic_name.lstrip("/"): end.msg_type.__name__ for end in endpoints}
         return {name: kind for name, kind in found.items() if name not in ("rosout", "parameter_events", "clock")}
 
-    with Graph(RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode, FeatureNode) as graph:
+    path = (RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode)
+    with Graph(*path, FeatureNode, HealthNode, CalibrationNode, parameters={"auto_correct": True}) as graph:
         kinds = {end.topic_name: end.msg_type for node in graph.nodes for end in node.publishers}
         for topic in kinds.keys() - {"/rosout", "/parameter_events", "/diagnostics"}:
             graph.listen(topic, kinds[topic])
@@ -221,7 +230,7 @@ def test_commands_make_depth_of_the_sample_bag(arguments: list[str], tmp_path: P
 
 
 def test_python_example_gives_what_its_comments_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = blocks("python")
+    code, _ = blocks("python")
     sequence = SyntheticSequence(1, 320, 200)
     frame = sequence[0]
     write_camera(tmp_path / "left.yaml", sequence.rig.left, "left")
@@ -240,3 +249,16 @@ def test_python_example_gives_what_its_comments_say(tmp_path: Path, monkeypatch:
     assert found.mean() > 0.3
     # an eighth of a pixel of the 6 px that this rig has at 4 m is 2 %
     assert np.median((np.abs(depth_m - frame.truth_depth_m) / frame.truth_depth_m)[found]) < 0.02
+
+
+def test_python_example_of_the_geometry() -> None:
+    _, code = blocks("python")
+    sequence = SyntheticSequence(1, 480, 360)
+    frame = sequence[0]
+    names: dict[str, Any] = {"left": frame.pair.left.pixels, "right": frame.pair.right.pixels, "rig": sequence.rig}
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["found"].H_left.shape == names["F"].shape == (3, 3)
+    assert names["points"].level.unit == "metres"
+    depth_m = names["points"].points[:, 2]
+    assert np.isfinite(depth_m).mean() > 0.7
+    assert 1 < np.nanmedian(depth_m) < 10
