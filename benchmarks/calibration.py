@@ -96,8 +96,10 @@ def fisheyes(data: Path) -> Iterator[Row]:
     ours = calibrate(views, "equidistant")
     theirs = opencv_fisheye_calibration(views, (640, 480))
     yield from calibration_rows("StereoPi fisheye", ours, theirs, ("<= 0.35", "<= 0.35", "64.6 +- 2"))
-    scene = list(fisheye_scene(folder, ours.rig))
-    yield Row("StereoPi fisheye", "row error of the scene, px", f"{rows_of(match_features(*scene)):.3f}", "", "<= 0.4")
+    left, right = fisheye_scene(folder, ours.rig)
+    yield Row(
+        "StereoPi fisheye", "row error of the scene, px", f"{rows_of(match_features(left, right)):.3f}", "", "<= 0.4"
+    )
 
 
 def calibration_rows(
@@ -144,8 +146,8 @@ def matrices(data: Path) -> Iterator[Row]:
     middle, worst = np.median(figures, axis=0), np.max(figures, axis=0)
     names = ("F: symmetric distance, px", "E: rotation, deg", "E: direction of t, deg")
     for number, (name, limit) in enumerate(zip(names, ("<= 0.5", "<= 0.5", "<= 3"), strict=True)):
-        cells = [f"{middle[at]:.3f} (worst {worst[at]:.3f})" for at in (2 * number, 2 * number + 1)]
-        yield Row("EuRoC", name, *cells, limit)
+        ours, theirs = (f"{middle[at]:.3f} (worst {worst[at]:.3f})" for at in (2 * number, 2 * number + 1))
+        yield Row("EuRoC", name, ours, theirs, limit)
 
 
 def unknown_rectification(data: Path) -> Iterator[Row]:
@@ -241,11 +243,11 @@ def raw_scene(folder: Path) -> tuple[U8, U8]:
     return np.ascontiguousarray(large[:, :640]), np.ascontiguousarray(large[:, 640:])
 
 
-def fisheye_scene(folder: Path, rig: StereoRig) -> Iterator[U8]:
+def fisheye_scene(folder: Path, rig: StereoRig) -> tuple[U8, U8]:
+    """The same rectified."""
     rectifier = Rectifier(rig)
     left, right = raw_scene(folder)
-    yield rectifier.rectify_left(left)
-    yield rectifier.rectify_right(right)
+    return rectifier.rectify_left(left), rectifier.rectify_right(right)
 
 
 def rows_of(*matches: Correspondences) -> float:
@@ -256,9 +258,10 @@ def rows_of(*matches: Correspondences) -> float:
 def opencv_calibration(views: list[BoardView], size: tuple[int, int]) -> dict[str, Any]:
     board = [view.left.board_m.astype(np.float32) for view in views]
     eyes = [[getattr(view, eye).image_px.astype(np.float32) for view in views] for eye in ("left", "right")]
-    alone = [cv2.calibrateCamera(board, eye, size, None, None) for eye in eyes]
+    alone: list[Any] = [cv2.calibrateCamera(board, eye, size, None, None) for eye in eyes]
     flags = cv2.CALIB_USE_INTRINSIC_GUESS
-    rms, K, _, K_right, _, _, T, *_ = cv2.stereoCalibrate(
+    solve: Any = cv2.stereoCalibrate
+    rms, K, _, K_right, _, _, T, *_ = solve(
         board, *eyes, *alone[0][1:3], *alone[1][1:3], size, flags=flags, criteria=CRITERIA
     )
     f = K[0, 0], K_right[0, 0]
@@ -270,8 +273,11 @@ def opencv_fisheye_calibration(views: list[BoardView], size: tuple[int, int]) ->
     eyes = [[getattr(view, eye).image_px[None] for view in views] for eye in ("left", "right")]
     names = cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2  # OpenCV 4, OpenCV 5
     flags = names.CALIB_RECOMPUTE_EXTRINSIC + names.CALIB_FIX_SKEW
-    alone = [cv2.fisheye.calibrate(board, eye, size, None, None, flags=flags, criteria=CRITERIA) for eye in eyes]
-    rms, *_, T = cv2.fisheye.stereoCalibrate(
+    solve: Any = cv2.fisheye.stereoCalibrate
+    alone: list[Any] = [
+        cv2.fisheye.calibrate(board, eye, size, None, None, flags=flags, criteria=CRITERIA) for eye in eyes
+    ]
+    rms, *_, T = solve(
         board, *eyes, *alone[0][1:3], *alone[1][1:3], size, flags=names.CALIB_FIX_SKEW, criteria=CRITERIA
     )[:7]
     return {"rms": rms, "eyes": [each[0] for each in alone], "baseline": float(np.linalg.norm(T))}

@@ -23,7 +23,7 @@ from rendered_boards import (
     poses,
 )
 
-from stereo_depth_ros.calibration.boards import Board, Corners, create_board
+from stereo_depth_ros.calibration.boards import Board, Corners, create_board, edge_width_px
 from stereo_depth_ros.calibration.projection import project
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.types import F64, U8
@@ -133,6 +133,19 @@ def test_aprilgrid(border_bits: int, turns: int) -> None:
 def test_no_board(kind: str) -> None:
     noise = np.random.default_rng(0).integers(0, 255, SIZE[::-1], np.uint8)
     assert create_board(kind, (7, 5), 0.03).detect(noise) is None
+
+
+def test_edges_are_as_wide_as_they_are_blurred() -> None:
+    """A step blurred by sigma has its contrast over its steepest slope at sqrt(2 pi) sigma."""
+    picture = np.full((200, 300), 40, np.uint8)
+    picture[:, 150:] = 200
+    corners = Corners(np.arange(6), np.zeros((6, 3)), np.column_stack((np.full(6, 149.5), np.arange(6) * 30.0 + 20)))
+    widths = [
+        edge_width_px(np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma), np.uint8), corners) for sigma in (2, 3)
+    ]
+    # The picture is smoothed by 0.7 px, and its slope taken over three pixels, first
+    assert widths[0] == pytest.approx(np.sqrt(2 * np.pi * (4 + 1.2)), rel=0.1)
+    assert widths[1] / widths[0] == pytest.approx(1.45, rel=0.1)
 
 
 def test_chessboards_are_counted_alike_in_both_eyes() -> None:

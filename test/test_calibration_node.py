@@ -103,7 +103,7 @@ def test_from_pictures_to_files_and_drivers(photographs: list[tuple[U8, U8]], tm
         assert "rms" in facts(graph)["calibrated"]
 
 
-def commit(graph: Graph) -> dict[str, Any]:
+def commit(graph: Graph, refusing: str = "") -> dict[str, Any]:
     """What two drivers receive. They run in a thread of their own: the node waits for them in its service."""
     import threading
 
@@ -115,7 +115,7 @@ def commit(graph: Graph) -> dict[str, Any]:
     def take(eye: str) -> Any:
         def answer(request: Any, response: Any) -> Any:
             taken[eye] = request.camera_info
-            response.success = True
+            response.success, response.status_message = eye != refusing, "read-only" if eye == refusing else ""
             return response
 
         return answer
@@ -134,7 +134,13 @@ def commit(graph: Graph) -> dict[str, Any]:
     thread = threading.Thread(target=spin)
     thread.start()
     try:
-        assert trigger(graph, "commit") == (True, "both drivers have taken their camera infos")
+        success, text = trigger(graph, "commit")
+        if refusing:
+            assert not success
+            assert f"/{refusing}/set_camera_info refused: read-only" in text
+            assert ("left driver has its new camera info already" in text) == (refusing == "right")
+        else:
+            assert (success, text) == (True, "both drivers have taken their camera infos")
     finally:
         done.set()
         thread.join()
@@ -151,6 +157,43 @@ def test_commit_without_drivers(photographs: list[tuple[U8, U8]], monkeypatch: p
         success, text = trigger(graph, "commit")
         assert not success
         assert "no service /left/set_camera_info within 0.3 s: start the camera driver" in text
+
+
+def test_nothing_is_committed_unless_both_drivers_are_there(
+    photographs: list[tuple[U8, U8]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rclpy
+
+    monkeypatch.setattr(calibration_node, "COMMIT_TIMEOUT_S", 0.5)
+    with Graph(CalibrationNode, parameters=PARAMETERS) as graph:
+        show(graph, photographs)
+        assert trigger(graph, "calibrate")[0]
+        taken: list[Any] = []
+        driver = rclpy.create_node("left_driver", use_global_arguments=False)
+        driver.create_service(SetCameraInfo, "left/set_camera_info", lambda request, _: taken.append(request))
+        success, text = trigger(graph, "commit")
+        rclpy.spin_once(driver, timeout_sec=0.2)
+        driver.destroy_node()
+        assert not success
+        assert "no service /right/set_camera_info within 0.5 s" in text and "nothing was committed" in text
+        assert not taken
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_a_driver_that_refuses(photographs: list[tuple[U8, U8]], eye: str) -> None:
+    with Graph(CalibrationNode, parameters=PARAMETERS) as graph:
+        show(graph, photographs)
+        assert trigger(graph, "calibrate")[0]
+        assert ("right" in commit(graph, refusing=eye)) == (eye == "right")
+
+
+def test_motion_limit_changes_at_run_time(photographs: list[tuple[U8, U8]]) -> None:
+    with Graph(CalibrationNode, parameters={**PARAMETERS, "max_board_motion": 2.0}) as graph:
+        show(graph, photographs[:1])
+        assert facts(graph)["newest pair"].startswith("the board moves")
+        assert graph.set_parameter("max_board_motion", 0.0, "calibration_node").successful
+        show(graph, photographs[1:2])
+        assert facts(graph)["newest pair"] == "taken"
 
 
 def test_a_folder_that_cannot_be_written(photographs: list[tuple[U8, U8]], tmp_path: Path) -> None:

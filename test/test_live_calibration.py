@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from rendered_boards import FISHEYE, SIZE, SQUARE_M, chessboard_points, chessboard_print, photograph, poses
@@ -62,6 +63,16 @@ def test_a_board_has_to_be_held_still(photographs: list[tuple[U8, U8]]) -> None:
     assert [collected.look("x", *pair) for pair in (one, other, other, one, one)] == [
         *(Look.MOVING, Look.MOVING, Look.TAKEN, Look.MOVING, Look.TAKEN),
     ]
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_blurred_pictures_are_not_taken(photographs: list[tuple[U8, U8]], eye: int) -> None:
+    pair = list(photographs[1])
+    pair[eye] = np.asarray(cv2.GaussianBlur(pair[eye], (0, 0), 3.0), np.uint8)
+    collected = live()
+    assert collected.look("a", pair[0], pair[1]) is Look.BLURRED
+    assert not collected.views
+    assert collected.look("b", *photographs[1]) is Look.TAKEN
 
 
 def test_advice_names_what_is_missing(photographs: list[tuple[U8, U8]]) -> None:

@@ -16,12 +16,24 @@ import numpy.typing as npt
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.types import F64, U8
 
-__all__ = ["BOARDS", "Board", "Corners", "check_board_size", "create_board", "parse_board_size", "refine_corners"]
+__all__ = [
+    "BOARDS",
+    "Board",
+    "Corners",
+    "check_board_size",
+    "create_board",
+    "edge_width_px",
+    "is_sharp",
+    "parse_board_size",
+    "refine_corners",
+]
 
 BOARDS = ("chessboard", "charuco", "aprilgrid")
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
 MIN_CORNERS = 8  # 8 points fix the pose of a view (6 numbers) and leave 10 measurements for the rest
 _MAX_HALF_WINDOW = 5  # px
+# Width of edges up to which a picture is sharp: as a share of the squares, at least and at most, px, and of the width
+_SOFT_OF_SPACING, _SHARP_PX, _SOFT_PX, _SOFT_SHARE = 0.3, 3.9, 5.0, 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +131,37 @@ def check_board_size(size: tuple[int, int], square_m: float, smallest: int, coun
             f"square {square_m:g} m is outside {MIN_SQUARE_M:g}..{MAX_SQUARE_M:g} m: it is given in metres, "
             f"{square_m:g} mm are {square_m / 1000:g}"
         )
+
+
+def is_sharp(gray: U8, corners: Corners) -> bool:
+    """Whether the edges at the corners are steep enough for exact positions; the smaller the squares, the steeper."""
+    finest_px, coarsest_px = _SHARP_PX, max(_SOFT_PX, _SOFT_SHARE * gray.shape[1])
+    limit_px = np.clip(_SOFT_OF_SPACING * _spacing_px(corners), finest_px, coarsest_px)
+    return bool(edge_width_px(gray, corners) <= limit_px)
+
+
+def edge_width_px(gray: U8, corners: Corners) -> float:
+    """How many pixels the edges at the corners take from dark to bright, their median; many in blurred pictures.
+
+    Contrast over the steepest slope, around each corner. Two sets of sharp 640x480 pictures have 2.4 to 3.7 px, the
+    same pictures blurred by a Gaussian of 2 px have 5.2 px and more.
+    """
+    half = int(np.clip(_spacing_px(corners) / 3, 3, 12))
+    smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7)
+    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)) / 8
+    widths = []
+    for x, y in np.rint(corners.image_px).astype(int):
+        around = slice(max(0, y - half), y + half + 1), slice(max(0, x - half), x + half + 1)
+        dark, bright = np.percentile(smooth[around], (5, 95))
+        widths.append((bright - dark) / max(float(np.percentile(slope[around], 95)), 1e-6))
+    return float(np.median(widths))
+
+
+def _spacing_px(corners: Corners) -> float:
+    """Median distance of a corner from the nearest other one."""
+    distances = np.linalg.norm(corners.image_px[:, None] - corners.image_px[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    return float(np.median(distances.min(axis=1)))
 
 
 def refine_corners(gray: U8, corners_px: F64, spacing_px: float) -> F64:

@@ -9,7 +9,7 @@ import enum
 import numpy as np
 
 from stereo_depth_ros.calibration.board_views import BoardView, Coverage, ViewCollector
-from stereo_depth_ros.calibration.boards import Board, Corners
+from stereo_depth_ros.calibration.boards import Board, Corners, is_sharp
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
@@ -27,6 +27,7 @@ class Look(enum.Enum):
     TAKEN = "taken"
     KNOWN = "the board lies as in a view that was taken: move or tilt it"
     MOVING = "the board moves: hold it still"
+    BLURRED = "the picture of the board is blurred: hold it still, focus, or give more light"
     LEFT_ONLY = "the right eye does not see the board: hold it where both eyes see it"
     RIGHT_ONLY = "the left eye does not see the board: hold it where both eyes see it"
     NOWHERE = "no board is seen: hold it before both eyes, with light on it"
@@ -42,12 +43,13 @@ class LiveCalibration:
             at one place in two eyes that are not exposed together. 0 takes views of boards that move, too.
 
     Attributes:
+        max_motion_px: as given; may be changed.
         result: of the newest calibration; None before the first.
         seen: where the board was in the left picture of the newest pair; None where it was not found.
     """
 
     def __init__(self, board: Board, model: str, max_motion_px: float = 2.0) -> None:
-        self._board, self._model, self._max_motion_px = board, model, max_motion_px
+        self._board, self._model, self.max_motion_px = board, model, max_motion_px
         self._collector = ViewCollector()
         self._size: tuple[int, int] | None = None
         self.result: StereoCalibration | None = None
@@ -89,13 +91,15 @@ class LiveCalibration:
         before, self.seen = self.seen, self._board.detect(left)
         if self.seen is None:
             return Look.NOWHERE if self._board.detect(right) is None else Look.RIGHT_ONLY
-        if self._max_motion_px and _motion_px(before, self.seen) > self._max_motion_px:
+        if self.max_motion_px and _motion_px(before, self.seen) > self.max_motion_px:
             return Look.MOVING
         if not self._collector.is_new(self.seen, size):
             return Look.KNOWN
         found = self._board.detect(right)
         if found is None:
             return Look.LEFT_ONLY
+        if not (is_sharp(left, self.seen) and is_sharp(right, found)):
+            return Look.BLURRED
         self._collector.add(BoardView(name, size, self.seen, self._board.align(self.seen, found)))
         return Look.TAKEN
 

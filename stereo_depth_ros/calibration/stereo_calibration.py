@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.calibration.adjustment import Adjustment, Estimate, adjust
-from stereo_depth_ros.calibration.board_views import BoardView, Coverage, placement
+from stereo_depth_ros.calibration.board_views import BoardView, Coverage, ViewCollector, placement
 from stereo_depth_ros.calibration.calibration_result import SolvedCamera, StereoCalibration, ViewFigures
 from stereo_depth_ros.calibration.camera_calibration import (
     MIN_VIEWS,
@@ -27,6 +27,7 @@ from stereo_depth_ros.types import F64
 
 __all__ = ["calibrate"]
 
+MIN_DIFFERENT = 3  # as few as determine a pinhole
 _MAX_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not tell the focal length
 _TOGETHER = 2.0  # times the rms of an eye alone, above which the two pictures of a view disagree
 
@@ -47,6 +48,7 @@ def calibrate(views: Sequence[BoardView], model: str = "plumb_bob") -> StereoCal
     """
     check_model(model)
     size = _common_size(views)
+    _check_different(views)
     names = [view.name for view in views]
     left = calibrate_camera(names, [view.left for view in views], size, model, "left")
     right = calibrate_camera(names, [view.right for view in views], size, model, "right")
@@ -68,6 +70,17 @@ def _common_size(views: Sequence[BoardView]) -> tuple[int, int]:
                 "a calibration is for one size of pictures, take all of them at the same resolution"
             )
     return first.size
+
+
+def _check_different(views: Sequence[BoardView]) -> None:
+    """Views that are one view over and over fit any camera."""
+    collector = ViewCollector()
+    different = sum([collector.add(view) for view in views])
+    if different < MIN_DIFFERENT:
+        raise CalibrationError(
+            f"{different} of {len(views)} views differ, at least {MIN_DIFFERENT} are needed: tilt the board about both "
+            "axes and take it to all parts of the picture"
+        )
 
 
 def _first_rig(

@@ -37,6 +37,7 @@ from stereo_depth_ros.view.live_picture import live_picture
 
 __all__ = ["CalibrationNode", "main"]
 
+EYES = ("left", "right")
 COMMIT_TIMEOUT_S = 5.0  # for a driver to appear, and again for its answer
 
 
@@ -51,7 +52,7 @@ class CalibrationNode(StereoNode):
     def __init__(self) -> None:
         super().__init__("calibration_node", CalibrationConfig)
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
-        config = self._config = self.parameters.get(CalibrationConfig)
+        config = self.parameters.get(CalibrationConfig)
         board = create_board(
             config.board,
             parse_board_size(config.board_size),
@@ -105,6 +106,7 @@ class CalibrationNode(StereoNode):
         frames = [decode_from(self, f"{eye}/image_raw", message) for eye, message in (("left", left), ("right", right))]
         grays = [to_gray(frame) for frame in frames]
         with self._lock, self.health.timed("look for the board"):
+            self._live.max_motion_px = self.parameters.get(CalibrationConfig).max_board_motion
             look = self._live.look(f"{stamp_ns(left.header) / 1e9:.3f} s", *grays)
             self._say(look.value)
             if look is Look.TAKEN:
@@ -156,32 +158,42 @@ class CalibrationNode(StereoNode):
         return f"{_in_words(result)}{dropped}{better}"
 
     def _save(self) -> str:
-        result, folder = self._result(), Path(self.parameters.get(CalibrationConfig).calibration_folder)
+        result, folder = self._result(), Path(self.parameters.get(CalibrationConfig).calibration_folder).expanduser()
         save_calibration(result, folder)
         save_picture(folder / "coverage.png", coverage_picture(result))
         return f"left.yaml, right.yaml, calibration.json, .txt and coverage.png written to {folder.resolve()}"
 
     def _commit(self) -> str:
-        """By a node of its own: this one is busy with the answer."""
+        """By a node of its own: this one is busy with the answer. Nothing is sent before both drivers are there."""
         rig = self._result().rig
         node = rclpy.create_node(f"{self.get_name()}_commit", context=self.context, use_global_arguments=False)
         executor = SingleThreadedExecutor(context=self.context)
         executor.add_node(node)
         try:
-            for eye, camera in (("left", rig.left), ("right", rig.right)):
-                self._send(node, executor, self.resolve_service_name(f"{eye}/set_camera_info"), camera)
+            clients = [self._client(node, self.resolve_service_name(f"{eye}/set_camera_info")) for eye in EYES]
+            self._send(executor, clients[0], rig.left)
+            try:
+                self._send(executor, clients[1], rig.right)
+            except CalibrationError as error:
+                raise CalibrationError(
+                    f"{error}; the left driver has its new camera info already: call ~/commit again before you use them"
+                ) from error
         finally:
             executor.shutdown()
             node.destroy_node()
         return "both drivers have taken their camera infos"
 
-    def _send(self, node: Any, executor: Any, service: str, camera: CameraModel) -> None:
+    def _client(self, node: Any, service: str) -> Any:
         client = node.create_client(SetCameraInfo, service)
         if not client.wait_for_service(COMMIT_TIMEOUT_S):
             raise CalibrationError(
                 f"no service {service} within {COMMIT_TIMEOUT_S:g} s: start the camera driver, remap {service}, or "
-                "take the files of ~/save"
+                "take the files of ~/save; nothing was committed"
             )
+        return client
+
+    def _send(self, executor: Any, client: Any, camera: CameraModel) -> None:
+        service = client.srv_name
         info = camera_info_message(self.types, camera, self.get_clock().now().nanoseconds)
         future, end = client.call_async(SetCameraInfo.Request(camera_info=info)), time.monotonic() + COMMIT_TIMEOUT_S
         while not future.done() and time.monotonic() < end:
