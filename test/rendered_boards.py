@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import cv2
@@ -153,6 +154,13 @@ def photograph(
         exact = _seen(print_, cell_px, cell_m, rig.model, eye, at)
         pictures.append(np.clip(exact + noise * random.normal(size=exact.shape), 0, 255).round().astype(np.uint8))
     return pictures[0], pictures[1]
+
+
+@functools.cache
+def chessboard_photographs() -> tuple[tuple[U8, U8], ...]:
+    """Eight views of a board of 7x5 corners by both eyes of the fisheye rig; rendered once for all tests."""
+    print_, board_m = chessboard_print(7, 5), chessboard_points(7, 5)
+    return tuple(photograph(print_, 40, SQUARE_M, FISHEYE, pose) for pose in poses(8, board_m, FISHEYE, seed=3))
 
 
 def _seen(print_: tuple[U8, F64], cell_px: int, cell_m: float, model: str, eye: F64, pose: F64) -> F64:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from graph_harness import NS_PER_S, Graph
-from rendered_boards import FISHEYE, SIZE, SQUARE_M, chessboard_points, chessboard_print, photograph, poses
+from rendered_boards import FISHEYE, SIZE, SQUARE_M, chessboard_photographs
 from sensor_msgs.msg import Image
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
@@ -33,9 +33,7 @@ PARAMETERS = {
 
 @pytest.fixture(scope="module")
 def photographs() -> list[tuple[U8, U8]]:
-    print_ = chessboard_print(7, 5)
-    all_poses = poses(8, chessboard_points(7, 5), FISHEYE, seed=3)
-    return [photograph(print_, 40, SQUARE_M, FISHEYE, pose) for pose in all_poses]
+    return list(chessboard_photographs())
 
 
 def messages(pair: tuple[U8, U8], number: int) -> dict[str, Any]:

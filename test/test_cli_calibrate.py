@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rendered_boards import FISHEYE, SQUARE_M, chessboard_points, chessboard_print, photograph, poses
+from rendered_boards import FISHEYE, SQUARE_M, chessboard_photographs
 
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.io.bag_writer import BagWriter
@@ -46,9 +46,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 @pytest.fixture(scope="module")
 def photographs() -> list[tuple[U8, U8]]:
     """Eight views by both eyes, and one of nothing."""
-    board_m = chessboard_points(7, 5)
-    print_ = chessboard_print(7, 5)
-    pairs = [photograph(print_, 40, SQUARE_M, FISHEYE, pose) for pose in poses(8, board_m, FISHEYE, seed=3)]
+    pairs = list(chessboard_photographs())
     return [*pairs, (np.full_like(pairs[0][0], 90), np.full_like(pairs[0][1], 90))]
 
 
@@ -67,6 +65,7 @@ def check_files(output: Path) -> None:
     assert rig.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=1e-3)
     assert rig.left.K[0, 0] == pytest.approx(FISHEYE.left[0], abs=1.0)
     assert rig.right.distortion_model == "equidistant"
+    assert rig.f_px == pytest.approx(125.6, rel=0.05)  # that of the exact cameras
     picture = cv2.imread(str(output / "coverage.png"))
     assert picture is not None and picture.shape[1] > 1000
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from stereo_depth_ros.calibration.boards import Corners
 from stereo_depth_ros.calibration.normal_equations import NormalEquations
@@ -34,25 +35,35 @@ class Estimate:
         intrinsics: one float64 (4 + n,) a camera: fx, fy, cx, cy, coefficients.
         rig: float64 (6,), rotation vector and translation, metres, from the first camera to the second; zeros for one.
         poses: float64 (V, 6), rotation vector and translation from the board to the first camera, a view each.
+        fixed: numbers of intrinsic parameters that are not solved for but stay what they are, in every camera.
     """
 
     model: str
     intrinsics: tuple[F64, ...]
     rig: F64
     poses: F64
+    fixed: tuple[int, ...] = ()
 
     @property
     def shared(self) -> int:
         """Number of parameters that all views share."""
         return sum(each.size for each in self.intrinsics) + 6 * (len(self.intrinsics) - 1)
 
+    @property
+    def free(self) -> npt.NDArray[np.int64]:
+        """Numbers of the shared parameters that are solved for, (F,)."""
+        fixed = [eye * each.size + number for eye, each in enumerate(self.intrinsics) for number in self.fixed]
+        return np.setdiff1d(np.arange(self.shared), fixed)
+
     def moved(self, step: F64, pose_steps: F64) -> Estimate:
-        """With ``step`` (S,) added to intrinsics and rig, ``pose_steps`` (V, 6) to the poses."""
+        """With ``step`` (F,) added to the free shared parameters, ``pose_steps`` (V, 6) to the poses."""
+        steps = np.zeros(self.shared)
+        steps[self.free] = step
         at, intrinsics = 0, []
         for each in self.intrinsics:
-            intrinsics.append(each + step[at : at + each.size])
+            intrinsics.append(each + steps[at : at + each.size])
             at += each.size
-        rig = self.rig + step[at:] if step.size > at else self.rig
+        rig = self.rig + steps[at:] if steps.size > at else self.rig
         return replace(self, intrinsics=tuple(intrinsics), rig=rig, poses=self.poses + pose_steps)
 
 
@@ -64,7 +75,7 @@ class Adjustment:
         estimate: at the minimum.
         residuals: px, projected less seen: a tuple of float64 (N, 2), one a camera, for each view.
         covariance: float64 (S, S) of the shared parameters, intrinsics then rig, from Jacobian and residuals, for
-            corners whose errors do not depend on each other.
+            corners whose errors do not depend on each other; 0 for fixed ones.
         view_covariance: the same from how the views disagree (jackknife): what all corners of a view have in common, as
             blur or a board that is not flat, is in it.
     """
@@ -112,13 +123,20 @@ def adjust(views: Sequence[tuple[Corners, ...]], start: Estimate, robust: bool =
         estimate = _minimize(views, estimate, weights)
     residuals = residuals_px(views, estimate)
     equations = _equations(views, estimate, weights)
-    freedom = sum(each.size for view in residuals for each in view) - estimate.shared - 6 * len(views)
+    freedom = sum(each.size for view in residuals for each in view) - len(estimate.free) - 6 * len(views)
     if freedom <= 0:
         raise CalibrationError(
-            f"{len(views)} views measure too little for {estimate.shared} parameters: take more views of the board"
+            f"{len(views)} views measure too little for {len(estimate.free)} parameters: take more views of the board"
         )
     covariance = equations.cost / freedom * equations.covariance()
-    return Adjustment(estimate, residuals, covariance, equations.jackknife())
+    return Adjustment(estimate, residuals, _of_all(covariance, estimate), _of_all(equations.jackknife(), estimate))
+
+
+def _of_all(covariance: F64, estimate: Estimate) -> F64:
+    """Covariance (S, S) of all shared parameters from that of the free ones."""
+    whole = np.zeros((estimate.shared, estimate.shared))
+    whole[np.ix_(estimate.free, estimate.free)] = covariance
+    return whole
 
 
 def residuals_px(views: Sequence[tuple[Corners, ...]], estimate: Estimate) -> list[tuple[F64, ...]]:
@@ -164,8 +182,9 @@ def _equations(
     views: Sequence[tuple[Corners, ...]], estimate: Estimate, weights: list[tuple[F64, ...]]
 ) -> NormalEquations:
     shared, size = estimate.shared, estimate.intrinsics[0].size
-    normal = np.zeros((len(views), shared + 6, shared + 6))
-    gradient, cost = np.zeros((len(views), shared + 6)), 0.0
+    columns = np.concatenate([estimate.free, shared + np.arange(6)])
+    normal = np.zeros((len(views), columns.size, columns.size))
+    gradient, cost = np.zeros((len(views), columns.size)), 0.0
     for number, view in enumerate(views):
         for eye, corners in enumerate(view):
             projection, by_rig, by_pose = _project(estimate, eye, estimate.poses[number], corners)
@@ -174,6 +193,7 @@ def _equations(
             if eye:
                 J[:, shared - 6 : shared] = projection.by_pose @ by_rig
             J[:, shared:] = projection.by_pose @ by_pose
+            J = J[:, columns]
             residuals = (projection.image_px - corners.image_px).ravel()
             w = np.repeat(weights[number][eye], 2)
             normal[number] += J.T @ (w[:, None] * J)

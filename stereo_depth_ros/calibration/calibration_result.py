@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,7 +48,10 @@ class SolvedCamera:
 
 @dataclass(frozen=True, eq=False)
 class ViewFigures:
-    """One view that was used: corners of both eyes, float64 (N, 2), px, and their root mean square errors, px."""
+    """One view that was used: corners of both eyes, float64 (N, 2), px, and their root mean square errors, px.
+
+    ``rms_rows`` is NaN where both eyes see no corner in common.
+    """
 
     name: str
     left_px: F64
@@ -55,6 +59,11 @@ class ViewFigures:
     rms_left: float
     rms_right: float
     rms_rows: float
+
+    def to_json(self) -> dict[str, Any]:
+        """The errors; None where there is none."""
+        rows = self.rms_rows if math.isfinite(self.rms_rows) else None
+        return {"name": self.name, "rms_left": self.rms_left, "rms_right": self.rms_right, "rms_rows": rows}
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +138,7 @@ class StereoCalibration:
             "T_m": self.T.tolist(),
             "T_sigma_m": self.T_sigma_m.tolist(),
             "coverage": {**coverage, "missing": list(self.coverage.missing)},
-            "views": [
-                {"name": v.name, "rms_left": v.rms_left, "rms_right": v.rms_right, "rms_rows": v.rms_rows}
-                for v in self.views
-            ],
+            "views": [view.to_json() for view in self.views],
             "dropped": [{"name": view.name, "reason": view.reason} for view in self.dropped],
             "warnings": list(self.warnings),
         }

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,14 +16,14 @@ from stereo_depth_ros.calibration.projection import MODELS, camera_matrix, proje
 from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.types import F64
 
-__all__ = ["MIN_VIEWS", "DroppedView", "OneCamera", "calibrate_camera", "worst_view"]
+__all__ = ["MIN_LIMIT_PX", "MIN_VIEWS", "DroppedView", "OneCamera", "calibrate_camera", "worst_view"]
 
 MIN_VIEWS = 5  # 3 determine a pinhole; two more show that they agree
 _FIELDS_OF_VIEW_DEG = (12, 20, 30, 40, 50, 60, 75, 90, 110, 130)  # across, of lenses to begin with
 _WIDE_DEG = (45, 60, 80, 100, 120, 140, 160, 180, 200, 220)
 _MAX_ANGLE = np.radians(80)  # from the axis, of points that a first guess uses
 _SPREADS, _TIMES = 6.0, 2.5  # a view is dropped above the others' median + 6 sigma and above 2.5 times their median
-_MIN_LIMIT_PX = 0.1  # whatever the others': no corner is found better
+MIN_LIMIT_PX = 0.1  # whatever the others': no corner is found better
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,14 @@ def worst_view(view_rms_px: F64) -> tuple[int, str] | None:
     others = np.delete(view_rms_px, at)
     median = float(np.median(others))
     sigma = 1.4826 * float(np.median(np.abs(others - median)))
-    limit = max(median + _SPREADS * sigma, _TIMES * median, _MIN_LIMIT_PX)
+    limit = max(median + _SPREADS * sigma, _TIMES * median, MIN_LIMIT_PX)
     if view_rms_px[at] <= limit:
         return None
     return at, f"reprojection rms {view_rms_px[at]:.2f} px, the other views have {median:.2f} px (limit {limit:.2f} px)"
 
 
 def _without(estimate: Estimate, at: int) -> Estimate:
-    return Estimate(estimate.model, estimate.intrinsics, estimate.rig, np.delete(estimate.poses, at, axis=0))
+    return replace(estimate, poses=np.delete(estimate.poses, at, axis=0))
 
 
 def _first_guess(views: Sequence[Corners], size: tuple[int, int], model: str) -> tuple[Estimate, set[int]]:

@@ -66,11 +66,6 @@ class LiveCalibration:
         return self._collector.coverage
 
     @property
-    def ready(self) -> bool:
-        """Enough views, which cover all that a calibration needs."""
-        return len(self.views) >= GOOD_VIEWS and self.coverage.complete
-
-    @property
     def advice(self) -> tuple[str, ...]:
         """What to do next, a sentence each; empty where nothing is missing."""
         more = GOOD_VIEWS - len(self.views)

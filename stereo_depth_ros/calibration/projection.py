@@ -82,6 +82,8 @@ def project(model: str, intrinsics: F64, pose: F64, points_m: F64) -> Projection
 
 def rectified_points(model: str, K: F64, D: F64, R: F64, P: F64, image_px: F64) -> F64:
     """Raw pixels, float64 (N, 2), as pixels of the rectified camera (R, P)."""
+    if not len(image_px):
+        return np.zeros((0, 2))
     points = image_px.reshape(-1, 1, 2)
     if model == "equidistant":
         return np.asarray(cv2.fisheye.undistortPoints(points, K, D, R=R, P=P), np.float64).reshape(-1, 2)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from stereo_depth_ros.calibration.adjustment import Adjustment, Estimate, adjust
 from stereo_depth_ros.calibration.board_views import BoardView, Coverage, ViewCollector, placement
 from stereo_depth_ros.calibration.calibration_result import SolvedCamera, StereoCalibration, ViewFigures
 from stereo_depth_ros.calibration.camera_calibration import (
+    MIN_LIMIT_PX,
     MIN_VIEWS,
     DroppedView,
     OneCamera,
@@ -20,6 +22,7 @@ from stereo_depth_ros.calibration.camera_calibration import (
     too_few,
     worst_view,
 )
+from stereo_depth_ros.calibration.lens_folds import check_edges, left_out, without_folds
 from stereo_depth_ros.calibration.projection import camera_matrix, check_model, rectified_points, turning_radius_px
 from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.stereo_rig import MAX_BASELINE_M, MIN_BASELINE_M, StereoRig
@@ -30,6 +33,7 @@ __all__ = ["calibrate"]
 MIN_DIFFERENT = 3  # as few as determine a pinhole
 _MAX_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not tell the focal length
 _TOGETHER = 2.0  # times the rms of an eye alone, above which the two pictures of a view disagree
+_APART = 10.0  # times that rms, above which they are not pictures of one moment
 
 
 def calibrate(views: Sequence[BoardView], model: str = "plumb_bob") -> StereoCalibration:
@@ -56,7 +60,10 @@ def calibrate(views: Sequence[BoardView], model: str = "plumb_bob") -> StereoCal
     dropped = [*left.dropped, *(view for view in right.dropped if view.name not in {one.name for one in left.dropped})]
     kept, start = _first_rig(left, right, kept, dropped)
     adjustment, kept = _solve(views, kept, start, dropped)
-    return _result(views, kept, dropped, adjustment, (left.adjustment.rms_px(), right.adjustment.rms_px()), size)
+    alone_px = (left.adjustment.rms_px(), right.adjustment.rms_px())
+    _check_together(adjustment, alone_px, len(kept), len(views))
+    adjustment = without_folds([(views[number].left, views[number].right) for number in kept], adjustment, size)
+    return _result(views, kept, dropped, adjustment, alone_px, size)
 
 
 def _common_size(views: Sequence[BoardView]) -> tuple[int, int]:
@@ -118,8 +125,17 @@ def _solve(
         kept = [number for number in kept if number != kept[at]]
         if len(kept) < MIN_VIEWS:
             raise too_few(len(kept), dropped)
-        found = adjustment.estimate
-        start = Estimate(found.model, found.intrinsics, found.rig, np.delete(found.poses, at, axis=0))
+        start = replace(adjustment.estimate, poses=np.delete(adjustment.estimate.poses, at, axis=0))
+
+
+def _check_together(adjustment: Adjustment, alone_px: tuple[float, float], used: int, count: int) -> None:
+    for number, eye in enumerate(("left", "right")):
+        rms_px, alone = adjustment.rms_px(number), alone_px[number]
+        if rms_px > _APART * max(alone, MIN_LIMIT_PX):
+            raise CalibrationError(
+                f"{used} of {count} views: {eye} rms {rms_px:.2f} px with the other eye, {alone:.2f} px alone: the two "
+                "pictures of a pair do not belong together, pair those that were taken at the same time by one rig"
+            )
 
 
 def _result(
@@ -136,10 +152,16 @@ def _result(
     _check_determined(cameras)
     R, T = cv2.Rodrigues(estimate.rig[:3])[0], estimate.rig[3:]
     _check_baseline(T)
+    check_edges(estimate, size)
     left, right = cameras
     rig = StereoRig.from_calibration(left.K, left.D, right.K, right.D, R, T, size, estimate.model)
     used = [views[number] for number in kept]
     rows = [_row_errors_px(rig, view) for view in used]
+    errors_px = np.concatenate(rows)
+    if not errors_px.size:
+        raise CalibrationError(
+            "both eyes see no corner of the board in common in any view: hold it where both see the same part of it"
+        )
     along = np.concatenate([np.zeros(len(sigmas) - 3), T / np.linalg.norm(T)])
     return StereoCalibration(
         model=estimate.model,
@@ -151,7 +173,7 @@ def _result(
         T_sigma_m=sigmas[-3:],
         baseline_sigma_m=adjustment.sigma(along),
         rms_stereo_px=adjustment.rms_px(),
-        epipolar_rms_px=float(np.sqrt(np.square(np.concatenate(rows)).mean())),
+        epipolar_rms_px=float(np.sqrt(np.square(errors_px).mean())),
         rig=rig,
         views=tuple(_figures(adjustment, used, rows)),
         dropped=tuple(dropped),
@@ -207,6 +229,8 @@ def _figures(adjustment: Adjustment, views: Sequence[BoardView], rows: Sequence[
 
 
 def _warnings(estimate: Estimate, cameras: Sequence[SolvedCamera], size: tuple[int, int]) -> Iterator[str]:
+    if names := ", ".join(left_out(estimate)):
+        yield f"the views do not determine {names}, left 0: show the board near the edges of the picture"
     for eye, camera, intrinsics in zip(("left", "right"), cameras, estimate.intrinsics, strict=True):
         if camera.rms_px > _TOGETHER * camera.rms_alone_px:
             yield (

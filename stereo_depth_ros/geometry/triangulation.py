@@ -118,12 +118,12 @@ def optimal_matches(F: F64, left_px: F64, right_px: F64) -> Correspondences:
     F = F / np.linalg.norm(F)
     F22 = F[:2, :2]
     left, right = homogeneous(left_px), homogeneous(right_px)
-    error = np.einsum("ni,ij,nj->n", right, F, left)
-    start_right = left @ F[:2].T  # normals of the epipolar lines of the found points
-    start_left = right @ F[:, :2]
-    normal_left, normal_right = start_left, start_right
-    step_left, step_right = np.zeros_like(found.left_px), np.zeros_like(found.right_px)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # points at infinity come out NaN
+        error = np.einsum("ni,ij,nj->n", right, F, left)
+        start_right = left @ F[:2].T  # normals of the epipolar lines of the found points
+        start_left = right @ F[:, :2]
+        normal_left, normal_right = start_left, start_right
+        step_left, step_right = np.zeros_like(found.left_px), np.zeros_like(found.right_px)
         for _ in range(_MAX_STEPS):
             a = np.einsum("ni,ij,nj->n", normal_right, F22, normal_left)
             b = (np.einsum("ni,ni->n", start_left, normal_left) + np.einsum("ni,ni->n", start_right, normal_right)) / 2

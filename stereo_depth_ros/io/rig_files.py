@@ -54,7 +54,8 @@ def _of_folder(folder: Path) -> tuple[Path, Path]:
 def _with_partner(path: Path) -> tuple[Path, Path]:
     """Left and right file, from one of them."""
     eye, other = ("left", "right") if "left" in path.name else ("right", "left")
-    partner = path.with_name(path.name.replace(eye, other))
+    before, _, after = path.name.rpartition(eye)
+    partner = path.with_name(f"{before}{other}{after}") if eye in path.name else path
     if partner == path or not partner.exists():
         beside = f"no {partner.name} is beside it" if partner != path else "its name tells neither eye"
         raise CalibrationError(f"{path} is one camera and {beside}: give LEFT.yaml and RIGHT.yaml")
