@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -42,6 +43,7 @@ _NOTES = {
 _INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_COMPLAINTS_LAST_S = 6.0
 _MOST_COMPLAINTS = 3  # what comes later usually follows from these
 
 _UNSUBSCRIBE_TIMEOUT_S = 1.0  # somebody else may be listening, and the nodes stay awake
@@ -97,6 +99,7 @@ class GraphPorts:
         self._sent_ns = 0
         self._statuses: dict[str, Any] = {}
         self._complaints: list[str] = []
+        self._played_from_s = math.inf  # by the monotonic clock
         node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 10)
 
     def spin(self, timeout_s: float) -> None:
@@ -111,6 +114,7 @@ class GraphPorts:
     def send_all_but_last(self, pair: SerializedPair) -> None:
         """Publish the time, both camera infos and the left image."""
         self._sent_ns = pair.stamp_ns
+        self._played_from_s = min(self._played_from_s, time.monotonic())
         if self._clock is not None:
             self._clock.publish(_clock_message(max(pair.stamp_ns, pair.right_stamp_ns)))
         for field in ("left_info", "right_info"):
@@ -190,11 +194,14 @@ class GraphPorts:
         self._recorder.write(self._node.resolve_topic_name(topic), msgtype, data, self._sent_ns, latched)
 
     def _receive_diagnostics(self, message: Any) -> None:
+        # A node that is never lazy complains of silence before the bag is played, and repeats that for a while
+        played = time.monotonic() > self._played_from_s + _COMPLAINTS_LAST_S
         for status in message.status:
             name = status.name.rpartition("/")[2]
             self._statuses[name] = status
             complaint = f"{name}: {status.message.splitlines()[0]}"
-            if status.level != DiagnosticStatus.OK and complaint not in self._complaints:
+            silence = "nothing received" in status.message and not played
+            if status.level != DiagnosticStatus.OK and not silence and complaint not in self._complaints:
                 self._complaints.append(complaint)
 
 
