@@ -132,6 +132,13 @@ def test_too_few_views(run: Run, tmp_path: Path, folder: Path) -> None:
     assert "no board in 1 of 4 pairs: 8.png" in text
 
 
+def test_output_that_is_a_file(run: Run, tmp_path: Path, folder: Path) -> None:
+    (tmp_path / "file").write_text("")
+    code, _, err = run(folder, *BOARD, "-o", tmp_path / "file")
+    assert code == 1
+    assert "it is no folder, name another with -o" in " ".join(err.split())
+
+
 def test_nothing_there(run: Run, tmp_path: Path) -> None:
     code, _, err = run(tmp_path / "none", *BOARD, "-o", tmp_path / "out")
     assert code == 1

@@ -182,8 +182,8 @@ def _all_tags(detector: Any, gray: U8) -> tuple[npt.NDArray[np.int64], F64]:
 def _require_detectors() -> None:
     if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
         raise ConfigError(
-            f"OpenCV {cv2.__version__} has no marker detectors, they came with 4.7: install opencv-python-headless "
-            "from PyPI, or take a chessboard"
+            f"OpenCV {cv2.__version__} has no marker detectors, they came with 4.7: install a newer "
+            "opencv-python-headless with pip, or take a chessboard"
         )
 
 

@@ -84,6 +84,8 @@ def calibrate_command(
     sought = board_of_size(counts)
     if json_file is not None and not json_file.resolve().parent.is_dir():
         raise BagError(f"cannot write {json_file}: there is no folder {json_file.parent}: make it, or name another")
+    if output.exists() and not output.is_dir():
+        raise BagError(f"cannot write into {output}: it is no folder, name another with -o")
     pictures = open_pictures(place, left, right)
     with progress_bar("looking for the board") as progress:
         found = find_views(pictures, sought, board_of_size, progress)
