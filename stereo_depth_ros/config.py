@@ -322,10 +322,10 @@ class HealthConfig(_Checked):
         1.0, "Largest rotation that is corrected, about each axis.", low=0.01, high=5.0, unit="deg", run_time=False
     )
     correct_yaw: bool = _parameter(
-        False, "Take yaw beyond reference_yaw for a camera that turned; false corrects rows only.", run_time=False
+        False, "Watch yaw, and correct it, beyond reference_yaw; false only tells it.", run_time=False
     )
     reference_yaw: float = _parameter(
-        0.0, "Yaw that the calibration shows when it is new.", low=-5.0, high=5.0, unit="deg", run_time=False
+        0.0, "Yaw that the rig shows when it is healthy.", low=-5.0, high=5.0, unit="deg", run_time=False
     )
 
 

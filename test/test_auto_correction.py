@@ -62,11 +62,18 @@ def test_rows_come_together_and_stay(w_deg: list[float]) -> None:
     assert loop.refusal == ""
 
 
-def test_without_a_reference_yaw_rows_come_together_too() -> None:
-    w, loop = np.radians([0.0, 0.5, 0.0]), AutoCorrection(RIG)
-    run(loop, w, 30)
-    assert row_error(loop.rig, w) < 0.1
-    assert abs(loop.correction.shift_px[0]) > 2  # in place of the disparities
+def test_without_a_reference_yaw_is_left_alone() -> None:
+    loop = AutoCorrection(RIG)
+    assert not any(run(loop, np.radians([0.0, 0.5, 0.0]), 20))
+    run(loop, np.radians([0.3, 0.5, 0.0]), 30, seed=50)
+    np.testing.assert_allclose(loop.correction.rotation_deg, [0.3, 0, 0], atol=0.03)
+
+
+def test_the_yaw_of_the_healthy_rig_stays() -> None:
+    assert not any(run(AutoCorrection(RIG, reference_yaw_deg=0.5), np.radians([0.0, 0.5, 0.0]), 20))
+    loop = AutoCorrection(RIG, reference_yaw_deg=0.5)
+    run(loop, np.radians([0.0, 0.9, 0.0]), 40, seed=50)
+    np.testing.assert_allclose(loop.correction.rotation_deg, [0, 0.4, 0], atol=0.05)
 
 
 def test_nothing_is_done_without_need() -> None:

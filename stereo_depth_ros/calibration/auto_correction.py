@@ -33,13 +33,11 @@ class Correction:
     Attributes:
         rotation_deg: float64 (3,), rotation vector about x, y, z of the rectified camera: pitch, yaw, roll.
         scale: of the focal length, as a share.
-        shift_px: of the principal point, x and y, px of the raw picture.
         steps: how many corrections led there.
     """
 
     rotation_deg: F64
     scale: float
-    shift_px: F64
     steps: int
 
 
@@ -98,9 +96,7 @@ class AutoCorrection:
         self.rig, self.refusal = corrected, ""
         self._steps += 1
         self._stale = STALE_PAIRS
-        if self._reference_yaw_deg is not None:
-            self._reference_yaw_deg = 0.0  # the keystone of the calibration is out now
-        self._estimator = MisalignmentEstimator(corrected, self._reference_yaw_deg)
+        self._estimator.restart(corrected)
 
     def _check_total(self, corrected: StereoRig) -> None:
         total = _difference(self._calibrated, corrected, self._steps)
@@ -116,4 +112,4 @@ def _difference(calibrated: StereoRig, used: StereoRig, steps: int) -> Correctio
     old, new = calibrated.right, used.right
     turn = cv2.Rodrigues(old.R @ new.R.T)[0].ravel()
     scale = float(new.K[0, 0] / old.K[0, 0] - 1)
-    return Correction(np.degrees(turn), scale, new.K[:2, 2] - old.K[:2, 2], steps)
+    return Correction(np.degrees(turn), scale, steps)

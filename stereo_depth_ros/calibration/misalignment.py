@@ -5,8 +5,9 @@
 A right camera whose rays have turned by a small rotation vector w, and whose focal length has grown by the share s,
 sees a point of rectified coordinates (x, y, 1) lower than the left camera does, by (-(1 + y^2) w_x + x y w_y + x w_z +
 y s) f (Longuet-Higgins and Prazdny 1980, the rotational part). Rows cannot tell w_x from a vertical shift f w_x of the
-principal point, nor whether a keystone x y w_y comes of a camera that has turned or of one whose principal point was
-calibrated f w_y off; the first shifts all disparities, the second leaves them.
+principal point, nor whether a keystone x y w_y comes of a camera that has turned, which shifts all disparities, or of a
+calibration whose principal point is f w_y off, which does not. So yaw says something only beside what the rig has shown
+when it was healthy.
 """
 
 from __future__ import annotations
@@ -87,8 +88,8 @@ class MisalignmentEstimator:
 
     Args:
         rig: that the pictures were rectified with.
-        reference_yaw_deg: yaw that the calibration has shown from the beginning; it is no sign of a change. None where
-            nobody knows.
+        reference_yaw_deg: yaw that the healthy rig has shown; None where nobody knows: then yaw is told and never
+            significant.
     """
 
     def __init__(self, rig: StereoRig, reference_yaw_deg: float | None = None) -> None:
@@ -116,34 +117,31 @@ def corrected_rig(
 ) -> StereoRig:
     """The rig whose right camera rectifies to the rows of the left one again: R and K of the right camera change.
 
-    P stays as it is, so that nothing changes for who uses the rectified pictures. Of the yaw, ``reference_yaw_deg`` is
-    taken as a principal point that was calibrated wrongly, which leaves the disparities in the middle of the picture as
-    they are; the rest of it as a camera that has turned, which shifts them all. Where the reference is None, all is
-    taken as the first: depth is then no worse than it was.
+    P stays as it is, so that nothing changes for who uses the rectified pictures. Yaw is taken back as far as it goes
+    beyond ``reference_yaw_deg``, what the healthy rig has shown; not at all where that is None.
 
     Raises:
         CalibrationError: a correction beyond the limits.
     """
-    _check_limits(misalignment, limits or CorrectionLimits())
-    right, turn = rig.right, cv2.Rodrigues(np.radians(misalignment.rotation_deg))[0]
+    pitch_deg, yaw_deg, roll_deg = misalignment.rotation_deg
+    changed_deg = np.array([pitch_deg, 0.0 if reference_yaw_deg is None else yaw_deg - reference_yaw_deg, roll_deg])
+    _check_limits(changed_deg, misalignment.scale, limits or CorrectionLimits())
+    right, turn = rig.right, cv2.Rodrigues(np.radians(changed_deg))[0]
     K = right.K.copy()
-    kept_deg = misalignment.rotation_deg[1] if reference_yaw_deg is None else reference_yaw_deg
-    # Along the rows, which are not those of the raw picture
-    K[:2, 2] -= np.diag(K)[:2] * right.R[0, :2] * math.radians(kept_deg)
     K[:2, :2] *= 1 + misalignment.scale
     return replace(rig, right=replace(right, R=turn.T @ right.R, K=K))
 
 
-def _check_limits(misalignment: Misalignment, limits: CorrectionLimits) -> None:
-    largest_deg = float(np.abs(misalignment.rotation_deg).max())
+def _check_limits(rotation_deg: F64, scale: float, limits: CorrectionLimits) -> None:
+    largest_deg = float(np.abs(rotation_deg).max())
     if largest_deg > limits.rotation_deg:
         raise CalibrationError(
             f"the right camera has turned by {largest_deg:.3f} degrees, corrected are up to {limits.rotation_deg:g}: "
             "fasten the cameras and calibrate again"
         )
-    if abs(misalignment.scale) > limits.scale:
+    if abs(scale) > limits.scale:
         raise CalibrationError(
-            f"the focal length of the right camera has changed by {100 * misalignment.scale:+.2f} %, corrected are up "
+            f"the focal length of the right camera has changed by {100 * scale:+.2f} %, corrected are up "
             f"to {100 * limits.scale:g} %: check the focus and calibrate again"
         )
 
@@ -170,7 +168,7 @@ def _estimate(frames: list[RowMatches], rig: StereoRig, reference_yaw_deg: float
         rest_px=_deviation(errors),
         matches=len(left),
         frames=len(frames),
-        significant=_significant(parts - [0, math.radians(reference_yaw_deg or 0.0), 0, 0], sigma, rig),
+        significant=_significant(parts, sigma, rig, reference_yaw_deg),
     )
 
 
@@ -218,9 +216,11 @@ def _standard_deviations(errors: F64, slopes: F64, weights: F64, owner: npt.NDAr
     return sigma
 
 
-def _significant(parts: F64, sigma: F64, rig: StereoRig) -> tuple[str, ...]:
+def _significant(parts: F64, sigma: F64, rig: StereoRig, reference_yaw_deg: float | None) -> tuple[str, ...]:
+    reference = parts[1] if reference_yaw_deg is None else math.radians(reference_yaw_deg)
+    changed = parts - [0, reference, 0, 0]
     x = max(rig.cx_right, rig.width - 1 - rig.cx_right) / rig.f_px
     y = max(rig.cy, rig.height - 1 - rig.cy) / rig.fy_px
-    largest_px = rig.fy_px * np.abs(parts) * [1 + y**2, x * y, x, y]
-    chosen = (largest_px > SIGNIFICANT_PX) & (np.abs(parts) > SIGNIFICANT_SIGMAS * sigma)
+    largest_px = rig.fy_px * np.abs(changed) * [1 + y**2, x * y, x, y]
+    chosen = (largest_px > SIGNIFICANT_PX) & (np.abs(changed) > SIGNIFICANT_SIGMAS * sigma)
     return tuple(name for name, yes in zip(("pitch", "yaw", "roll", "scale"), chosen, strict=True) if yes)

@@ -128,8 +128,6 @@ class HealthNode(StereoNode):
         values = {
             **{f"{name}_deg": f"{value:.5f}" for name, value in zip(_AXES, correction.rotation_deg, strict=True)},
             "scale": f"{correction.scale:.6f}",
-            "shift_x_px": f"{correction.shift_px[0]:.3f}",
-            "shift_y_px": f"{correction.shift_px[1]:.3f}",
             "steps": str(correction.steps),
         }
         level = DiagnosticStatus.WARN if correction.steps else DiagnosticStatus.OK
@@ -206,8 +204,7 @@ def _in_words(found: Misalignment) -> str:
 
 def _correction_in_words(correction: Correction) -> str:
     turn = ", ".join(f"{name} {value:+.3f}" for name, value in zip(_AXES, correction.rotation_deg, strict=True))
-    shift = ", ".join(f"{value:+.2f}" for value in correction.shift_px)
-    return f"{turn} deg, focal length {100 * correction.scale:+.3f} %, principal point {shift} px"
+    return f"{turn} deg, focal length {100 * correction.scale:+.3f} %"
 
 
 def main() -> int:
