@@ -105,7 +105,7 @@ def _normalisation(points: F64) -> F64:
 def _check_parallax(x_left: F64, x_right: F64) -> None:
     """Points of one plane, and points seen from one place, are those that a homography maps.
 
-    Few points do not tell their noise, so that some parallax is asked of them: 0.5 % of the spread of eight points,
+    Few points do not tell their noise, so that some parallax is asked of them: 1.25 % of the spread of eight points,
     and the less, the more there are.
     """
     H = cv2.findHomography(x_left[:, :2], x_right[:, :2], 0)[0]
@@ -113,7 +113,7 @@ def _check_parallax(x_left: F64, x_right: F64) -> None:
         return
     mapped = x_left @ H.T
     parallax = np.sqrt(np.mean(((mapped[:, :2] / mapped[:, 2:] - x_right[:, :2]) ** 2).sum(axis=1)) / 2)
-    limit = 0.04 / len(x_left)
+    limit = 0.1 / len(x_left)
     if parallax < limit:
         raise CalibrationError(
             f"one homography maps the {len(x_left)} left points to the right ones, all but {parallax:.2g} of their "
