@@ -12,7 +12,12 @@ import pytest
 
 from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.io.camera_info_message import camera_from_info, camera_info_message, rectified_camera_info
+from stereo_depth_ros.io.camera_info_message import (
+    camera_from_info,
+    camera_info_message,
+    rectified_camera_info,
+    sensor_intrinsics,
+)
 from stereo_depth_ros.io.message_types import RosbagsTypes
 from stereo_depth_ros.stereo_rig import StereoRig
 
@@ -63,6 +68,23 @@ def test_region_is_in_pixels_before_binning() -> None:
     np.testing.assert_array_equal(camera.K, [[250, 0, 115], [0, 120, 42.5], [0, 0, 1]])
     np.testing.assert_array_equal(camera.P, [[225, 0, 105, -27], [0, 110, 37.5, 0], [0, 0, 1, 0]])
     np.testing.assert_array_equal(camera.D, [-0.2, 0.1, 0.001, 0.002, 0.0])
+
+
+def test_intrinsics_of_the_image_are_given_for_the_sensor() -> None:
+    K = sensor_intrinsics(np.array([[250.0, 0, 115], [0, 120, 42.5], [0, 0, 1]]), info((100, 40, 320, 300), (2, 4)))
+    np.testing.assert_array_equal(K, [[500, 0, 330], [0, 480, 210], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("binning", [(0, 0), (3, 2)])
+@pytest.mark.parametrize("roi", [(0, 0, 0, 0), (101, 43, 321, 300)])
+def test_a_receiver_of_sensor_intrinsics_gets_those_of_the_image(
+    roi: tuple[int, int, int, int], binning: tuple[int, int]
+) -> None:
+    message = info(roi, binning)
+    np.testing.assert_allclose(sensor_intrinsics(camera_from_info(message).K, message).ravel(), message.k, rtol=1e-14)
+    K = np.array([[171.3, 0, 83.9], [0, 244.7, 61.2], [0, 0, 1]])
+    message.k = sensor_intrinsics(K, message).ravel()
+    np.testing.assert_allclose(camera_from_info(message).K, K, rtol=1e-14)
 
 
 @pytest.mark.parametrize("roi", [(400, 0, 241, 400), (0, 300, 640, 101), (0, 0, 0, 400), (0, 0, 640, 0)])

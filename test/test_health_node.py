@@ -17,6 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray
 
+from stereo_depth_ros.calibration.auto_correction import MIN_FRAMES
 from stereo_depth_ros.calibration.row_error import match_rows
 from stereo_depth_ros.errors import TopicError
 from stereo_depth_ros.io.camera_info_message import camera_from_info
@@ -163,6 +164,52 @@ def test_corrections_bring_the_rows_together(pitched: TurnedCamera) -> None:
         assert float(values["pitch_deg"]) == pytest.approx(0.5, abs=0.05)
         assert status.level == DiagnosticStatus.WARN
         assert int(values["steps"]) >= 1
+
+
+def of_sensor(info: CameraInfo) -> CameraInfo:
+    """The same camera as a region of a larger sensor, binned by 2 and by 3."""
+    to_sensor = np.array([[2.0, 0, 64], [0, 3, 37], [0, 0, 1]])
+    info.k, info.p = ((to_sensor @ np.reshape(m, (3, -1))).ravel() for m in (info.k, info.p))
+    info.binning_x, info.binning_y = 2, 3
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 64, 37, 2 * info.width, 3 * info.height
+    info.width, info.height = 2 * info.width + 100, 3 * info.height + 50
+    return info
+
+
+def test_corrections_are_of_the_sensor(pitched: TurnedCamera) -> None:
+    """Who takes region and binning into account gets the corrected camera; R and K change, and nothing else."""
+    with Graph(HealthNode, parameters={**EVERY, "auto_correct": True}) as graph:
+        infos = graph.listen("right/camera_info_corrected", CameraInfo)
+        looks = graph.listen("health/row_error", Float64MultiArray)
+        corrections = graph.listen("health/correction", DiagnosticArray)
+        rig = pitched.rig
+        for number in range(14):
+            sent = pitched.messages(rig)
+            info = of_sensor(sent["right/camera_info"])
+            graph.send(sent)
+            graph.wait(lambda count=number: len(infos) == len(looks) == count + 1, f"camera info and look {number}")
+            if number + 1 < MIN_FRAMES:
+                assert infos[-1] == info
+            np.testing.assert_allclose(infos[-1].k, info.k, rtol=0.01)
+            rig = replace(rig, right=camera_from_info(infos[-1], "right"))
+        graph.send({"right/camera_info": info})
+        graph.wait(lambda: len(infos) == 15, "camera info after all corrections")
+        values = applied(corrections)
+        assert float(values["pitch_deg"]) == pytest.approx(0.5, abs=0.05)
+        calibrated, corrected = pitched.rig.right, camera_from_info(infos[-1])
+        turn = cv2.Rodrigues(np.radians([float(values[f"{axis}_deg"]) for axis in ("pitch", "yaw", "roll")]))[0]
+        growth = np.array([[1 + float(values["scale"])], [1 + float(values["scale"])], [1]])
+        # As many digits as are told
+        np.testing.assert_allclose(corrected.R, turn.T @ calibrated.R, atol=3e-7)
+        np.testing.assert_allclose(corrected.K, np.where(np.eye(3), growth * calibrated.K, calibrated.K), atol=5e-4)
+        assert match_rows(*pitched.rectified(replace(pitched.rig, right=corrected))).median_px < 0.3
+        infos[-1].k, infos[-1].r = info.k, info.r
+        assert infos[-1] == info
+
+
+def applied(corrections: list[DiagnosticArray]) -> dict[str, str]:
+    """The figures of the newest correction."""
+    return {item.key: item.value for item in corrections[-1].status[0].values}
 
 
 def test_corrections_that_nobody_takes_are_told(pitched: TurnedCamera) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import CalibrationError
 from stereo_depth_ros.io.message_types import MessageTypes, make_header
+from stereo_depth_ros.types import F64
 
-__all__ = ["camera_from_info", "camera_info_message", "rectified_camera_info"]
+__all__ = ["camera_from_info", "camera_info_message", "rectified_camera_info", "sensor_intrinsics"]
 
 
 def camera_from_info(info: Any, topic: str = "") -> CameraModel:
@@ -30,14 +31,10 @@ def camera_from_info(info: Any, topic: str = "") -> CameraModel:
     Raises:
         CalibrationError: a region of interest that leaves the sensor.
     """
-    roi = info.roi
-    whole = roi.width == 0 and roi.height == 0
-    x, y, width, height = (0, 0, info.width, info.height) if whole else _region(info, topic)
-    binning_x, binning_y = max(info.binning_x, 1), max(info.binning_y, 1)
-    to_image = np.array([[1 / binning_x, 0, -x / binning_x], [0, 1 / binning_y, -y / binning_y], [0, 0, 1]])
+    width, height, to_image = _sent_image(info, topic)
     return CameraModel(
-        width=width // binning_x,
-        height=height // binning_y,
+        width=width,
+        height=height,
         distortion_model=info.distortion_model,
         K=to_image @ np.reshape(info.k, (3, 3)),
         D=np.array(info.d),
@@ -45,6 +42,34 @@ def camera_from_info(info: Any, topic: str = "") -> CameraModel:
         P=to_image @ np.reshape(info.p, (3, 4)),
         frame_id=info.header.frame_id,
     )
+
+
+def sensor_intrinsics(K: F64, info: Any, topic: str = "") -> F64:
+    """The K to write into a camera info from which :func:`camera_from_info` then makes this one.
+
+    Args:
+        K: float64 (3, 3), intrinsics of the image as it is sent, px.
+        info: the message with the region of interest and the binning, of any family; its K is not read.
+        topic: its topic, for error messages.
+
+    Returns:
+        float64 (3, 3), intrinsics of the whole sensor before binning, px.
+
+    Raises:
+        CalibrationError: a region of interest that leaves the sensor.
+    """
+    K_sensor: F64 = np.linalg.solve(_sent_image(info, topic)[2], K).astype(np.float64)
+    return K_sensor
+
+
+def _sent_image(info: Any, topic: str) -> tuple[int, int, F64]:
+    """Width and height of the image as it is sent, px, and the float64 (3, 3) from sensor pixels to its pixels."""
+    roi = info.roi
+    whole = roi.width == 0 and roi.height == 0
+    x, y, width, height = (0, 0, info.width, info.height) if whole else _region(info, topic)
+    binning_x, binning_y = max(info.binning_x, 1), max(info.binning_y, 1)
+    to_image = np.array([[1 / binning_x, 0, -x / binning_x], [0, 1 / binning_y, -y / binning_y], [0, 0, 1]])
+    return width // binning_x, height // binning_y, to_image
 
 
 def _region(info: Any, topic: str) -> tuple[int, int, int, int]:

@@ -16,7 +16,9 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from stereo_depth_ros.calibration.auto_correction import AutoCorrection, Correction
 from stereo_depth_ros.calibration.misalignment import CorrectionLimits, Misalignment, MisalignmentEstimator
 from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
+from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.config import HealthConfig
+from stereo_depth_ros.io.camera_info_message import sensor_intrinsics
 from stereo_depth_ros.io.image_message import to_gray
 from stereo_depth_ros.io.message_types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
@@ -110,12 +112,13 @@ class HealthNode(StereoNode):
         self.health.warning = "; ".join(warnings)
 
     def _on_right_info(self, info: Any) -> None:
-        """The same, with what has been corrected; as it came until there is something."""
-        applied = self._watch.rig_in_use if self._watch is not None else None
+        """The same, with what has been corrected, for the sensor; as it came until there is something."""
+        camera = self._watch.corrected_camera if self._watch is not None else None
         corrected = info
-        if applied is not None:
+        if camera is not None:
             corrected = copy.copy(info)
-            corrected.k, corrected.r = applied.right.K.ravel(), applied.right.R.ravel()
+            K = sensor_intrinsics(camera.K, info, self.resolve_topic_name("right/camera_info"))
+            corrected.k, corrected.r = K.ravel(), camera.R.ravel()
         self._corrected.publish(corrected)
 
     def _say_correction(self, stamp: Any) -> None:
@@ -159,9 +162,9 @@ class _Watch:
         return self._auto.refusal if self._auto else ""
 
     @property
-    def rig_in_use(self) -> StereoRig | None:
-        """The rig to rectify with, where it is corrected."""
-        return self._auto.rig if self._auto else None
+    def corrected_camera(self) -> CameraModel | None:
+        """The right camera to rectify with; None as long as it is the calibrated one."""
+        return self._auto.rig.right if self._auto and self._auto.rig is not self.rig else None
 
     @property
     def correction(self) -> Correction | None:
