@@ -288,9 +288,72 @@ def test_images(tmp_path: Path, pattern: str) -> None:
     assert dataset.rig.doffs_px == pytest.approx(-3.25)
     assert [(f.left.pixels[0, 0], f.right.pixels[0, 0]) for f in dataset] == [(0, 5), (1, 6)]
     assert len(dataset) == 2 and dataset.rig.frame_id == "left_optical_frame"
-    picture(tmp_path / pattern.format(eye="right", index=9))
-    with pytest.raises(BagError, match="has 2 left and 3 right images"):
-        ImagesDataset(tmp_path)
+    alone = tmp_path / pattern.format(eye="right", index=9)
+    picture(alone)
+    dataset = ImagesDataset(tmp_path, right_yaml=tmp_path / "other.yaml")
+    assert (len(dataset), dataset.left_out) == (2, 1)
+    assert dataset.warnings == [f"{alone} has no left picture beside it: it is left out"]
+
+
+def make_images(folder: Path, names: dict[str, int]) -> Path:
+    """Images by name and gray level, and a calibration."""
+    rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
+    for name, value in names.items():
+        picture(folder / name, value=value)
+    write_camera(folder / "left.yaml", rig.left, "left")
+    write_camera(folder / "right.yaml", rig.right, "right")
+    return folder
+
+
+def levels(dataset: StereoDataset) -> list[tuple[int, int]]:
+    """Gray levels of the pairs."""
+    return [(int(frame.left.pixels[0, 0]), int(frame.right.pixels[0, 0])) for frame in dataset]
+
+
+@pytest.mark.parametrize("pattern", ["{side}/{number}.png", "{side}{number}.png", "{side}/{side}{number:02d}.png"])
+def test_images_are_paired_by_name_and_not_by_position(tmp_path: Path, pattern: str) -> None:
+    """As many left as right images, of other frames."""
+    left = {pattern.format(side="left", number=number): number for number in (1, 2, 3, 10)}
+    right = {pattern.format(side="right", number=number): 100 + number for number in (2, 3, 10, 11)}
+    dataset = ImagesDataset(make_images(tmp_path, left | right))
+    assert levels(dataset) == [(2, 102), (3, 103), (10, 110)]
+    assert (len(dataset), dataset.left_out, len(dataset.warnings)) == (3, 2, 2)
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("left/cam0_{}.png", "right/cam1_{}.png"),
+        ("cam0/data/{}.png", "cam1/data/{}.png"),
+        ("image_0/{}.png", "image_1/{}.png"),
+        ("L_{}.PNG", "R_{}.PNG"),
+        ("{}_left.jpg", "{}_right.jpg"),
+    ],
+)
+def test_images_have_any_names_that_calibrate_takes(tmp_path: Path, left: str, right: str) -> None:
+    names = {left.format("0004"): 4, left.format("0007"): 7, right.format("0007"): 107, right.format("0009"): 109}
+    dataset = ImagesDataset(make_images(tmp_path, names))
+    (pair,) = levels(dataset)
+    assert pair == pytest.approx((7, 107), abs=1) and dataset.left_out == 2
+
+
+@pytest.mark.parametrize("pattern", ["{side}/{number}.png", "{side}{number}.png"])
+def test_images_of_other_folders_and_masks_are_no_frames(tmp_path: Path, pattern: str) -> None:
+    names = {pattern.format(side=side, number=5): value for side, value in (("left", 5), ("right", 105))}
+    for side in ("left", "right"):
+        names |= {
+            f"board/{side}5.png": 50,
+            f"rectified/{side}/5.png": 60,
+            pattern.format(side=side, number="_mask"): 255,
+        }
+    dataset = ImagesDataset(make_images(tmp_path, names))
+    assert levels(dataset) == [(5, 105)] and dataset.left_out == 0
+
+
+def test_images_without_any_pair(tmp_path: Path) -> None:
+    folder = make_images(tmp_path, {"left/3.png": 3, "left/4.png": 4, "right/5.png": 5, "right/6.png": 6})
+    with pytest.raises(BagError, match=r"no left picture has the number of a right one, such as 3\.png and 5\.png"):
+        ImagesDataset(folder)
 
 
 def test_a_dataset_becomes_a_bag(tmp_path: Path) -> None:
