@@ -356,6 +356,16 @@ def test_images_without_any_pair(tmp_path: Path) -> None:
         ImagesDataset(folder)
 
 
+def test_middlebury_image_of_another_scene_is_no_partner(tmp_path: Path) -> None:
+    for name, value in (("a_left.png", 1), ("b_left.png", 2), ("b_right.png", 3), ("c_right.png", 4)):
+        picture(tmp_path / name, value=value)
+    for name in "abc":
+        np.savez(tmp_path / f"{name}_disp.npz", np.full((HEIGHT, WIDTH), ord(name), np.float32))
+    dataset = MiddleburyDataset(tmp_path, focal_px=300.0, baseline_m=0.1)
+    assert levels(dataset) == [(2, 3)]
+    assert truth_of(dataset)[0, 0] == ord("b")
+
+
 def test_a_dataset_becomes_a_bag(tmp_path: Path) -> None:
     truth = np.full((HEIGHT, WIDTH), 4.5, np.float32)
     truth[2, 3], truth[4, 5] = np.inf, 9.25
