@@ -184,6 +184,101 @@ def test_kitti_times(tmp_path: Path) -> None:
     assert [f.left.stamp_ns for f in KittiDataset(raw)] == [1_317_042_145_964_389_445]
 
 
+def make_excerpt(folder: Path, numbers: tuple[int, ...], pattern: str = "{:06d}.png") -> Path:
+    """Frames of a sequence, whose gray levels are their numbers."""
+    for number in numbers:
+        picture(folder / "image_0" / pattern.format(number), value=number)
+        picture(folder / "image_1" / pattern.format(number), value=number)
+    (folder / "calib.txt").write_text(f"P0: {P0}\nP1: {P1}\n")
+    return folder
+
+
+def stamps(dataset: StereoDataset) -> dict[int, int]:
+    """Nanoseconds by gray level, in the order of the frames."""
+    frames = list(dataset)
+    assert all(frame.left.stamp_ns == frame.right.stamp_ns for frame in frames)
+    return {int(frame.left.pixels[0, 0]): frame.left.stamp_ns for frame in frames}
+
+
+def test_kitti_excerpt_keeps_the_times_of_its_frames(tmp_path: Path) -> None:
+    folder = make_excerpt(tmp_path, (100, 101, 103))
+    assert stamps(KittiDataset(folder)) == {100: 11_000_000_000, 101: 11_100_000_000, 103: 11_300_000_000}
+    times = np.cumsum(np.arange(110) % 7 + 1) / 64  # gaps that differ from row to row
+    (folder / "times.txt").write_text("".join(f"{time:.6f}\n" for time in times))
+    assert stamps(KittiDataset(folder)) == {n: 10**9 + round(times[n] * 1e9) for n in (100, 101, 103)}
+    (folder / "times.txt").write_text("0.5\n0.75\n2.0\n")  # the excerpt's own
+    assert stamps(KittiDataset(folder)) == {100: 1_500_000_000, 101: 1_750_000_000, 103: 3_000_000_000}
+    (folder / "times.txt").write_text("0\n" * 103)  # one too few
+    with pytest.raises(BagError, match=r"times\.txt has 103 times for 3 pairs, the last of which is frame 103: "):
+        KittiDataset(folder)
+
+
+def test_kitti_image_without_a_partner_has_its_row_of_times(tmp_path: Path) -> None:
+    folder = make_excerpt(tmp_path, (0, 1, 2, 3))
+    (folder / "image_1" / "000001.png").unlink()
+    (folder / "times.txt").write_text("0.5\n0.75\n2.0\n2.25\n")
+    expected = {0: 1_500_000_000, 2: 3_000_000_000, 3: 3_250_000_000}
+    assert stamps(KittiDataset(folder)) == expected
+    for side in ("image_0", "image_1"):  # now frames 4, 5, 6, 7 with a file of their own
+        for path in sorted((folder / side).iterdir()):
+            path.rename(path.with_name(f"{int(path.stem) + 4:06d}.png"))
+    assert stamps(KittiDataset(folder)) == expected
+
+
+def test_kitti_raw_excerpt_keeps_the_times_of_its_frames(tmp_path: Path) -> None:
+    folder = make_kitti(tmp_path, "image_00/data", "image_01/data", names=3)
+    for side in ("image_00", "image_01"):
+        (folder / side / "data" / "000001.png").unlink()
+    rows = [f"2011-09-26 13:02:{second}" for second in ("25.964389445", "26.1", "27.500000001")]
+    (folder / "image_00" / "timestamps.txt").write_text("\n".join(rows) + "\n")
+    assert stamps(KittiDataset(folder)) == {10: 1_317_042_145_964_389_445, 12: 1_317_042_147_500_000_001}
+
+
+def test_kitti_pairs_of_another_calibration_take_their_times_with_them(tmp_path: Path) -> None:
+    folder = make_excerpt(tmp_path, (3, 4, 6, 9))
+    (folder / "calib.txt").unlink()
+    (folder / "calib").mkdir()
+    for number in (3, 4, 6, 9):
+        focal = "60.5" if number == 4 else "50.5"
+        (folder / "calib" / f"{number:06d}.txt").write_text(f"P0: {P0}\nP1: {P1}\n".replace("50.5", focal))
+    dataset = KittiDataset(folder)
+    assert dataset.left_out == 1
+    assert stamps(dataset) == {3: 1_300_000_000, 6: 1_600_000_000, 9: 1_900_000_000}
+    (folder / "times.txt").write_text("0.5\n0.75\n2.0\n2.25\n")
+    assert stamps(KittiDataset(folder)) == {3: 1_500_000_000, 6: 3_000_000_000, 9: 3_250_000_000}
+
+
+def test_kitti_pairs_of_stereo_benchmarks_are_counted(tmp_path: Path) -> None:
+    """Frame 10 of every scene has a truth; the frames around it follow each other at 10 Hz."""
+    folder = make_excerpt(tmp_path / "a", (0, 2, 5), "{:06d}_10.png")
+    assert stamps(KittiDataset(folder)) == {0: 1_000_000_000, 2: 1_200_000_000, 5: 1_500_000_000}
+    folder = make_excerpt(tmp_path / "b", (10, 11, 13), "000001_{:02d}.png")
+    make_excerpt(folder, (210, 211), "000{:03d}.png")
+    for side in ("image_0", "image_1"):
+        for number in (210, 211):
+            (folder / side / f"000{number}.png").rename(folder / side / f"000002_{number - 200}.png")
+    assert stamps(KittiDataset(folder)) == {
+        10: 1_400_000_000,
+        11: 1_500_000_000,
+        13: 1_700_000_000,
+        210: 1_800_000_000,
+        211: 1_900_000_000,
+    }
+
+
+def test_kitti_frames_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    folder = make_excerpt(tmp_path, (2, 10, 9), "{}.png")
+    assert list(stamps(KittiDataset(folder)).items()) == [(2, 1_200_000_000), (9, 1_900_000_000), (10, 2_000_000_000)]
+
+
+def test_kitti_names_that_do_not_number_the_frames(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"first_7\.png has no frame number: KITTI's images are named 000000\.png"):
+        KittiDataset(make_excerpt(tmp_path / "a", (7,), "first_{}.png"))
+    folder = make_excerpt(make_excerpt(tmp_path / "b", (7,)), (7,), "{}.png")
+    with pytest.raises(BagError, match=r"000007\.png and .*7\.png have the same frame number: remove one"):
+        KittiDataset(folder)
+
+
 def test_kitti_stereo_benchmark_has_a_calibration_a_pair_and_a_truth(tmp_path: Path) -> None:
     for name in ("000000_10.png", "000001_10.png", "000002_10.png"):
         picture(tmp_path / "image_2" / name)
