@@ -11,12 +11,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from stereo_bags import PARAMETERS, messages_of, write_odd_bag, write_truth_bag
 
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.io.bag_reader import BagReader
+from stereo_depth_ros.io.calibration_yaml import write_camera
 from stereo_depth_ros.replay import graph_runner
+from stereo_depth_ros.stereo_rig import StereoRig
 
 Run = Callable[..., tuple[int, str, str]]
 PARAM_ARGUMENTS = [text for name, value in PARAMETERS.items() for text in ("--param", f"{name}:={value}")]
@@ -150,6 +153,19 @@ def test_convert_euroc_makes_a_bag_that_info_finds_usable(run: Run, stereo_data:
     code, out, _ = run("info", bag)
     assert code == 0
     assert "24 of equal stamps" in out and "baseline 110.1 mm" in out
+
+
+def test_convert_images_tells_what_it_leaves_out(run: Run, tmp_path: Path) -> None:
+    rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (44, 30))
+    for side, camera, numbers in (("left", rig.left, (1, 2, 3)), ("right", rig.right, (2, 3, 4))):
+        write_camera(tmp_path / f"{side}.yaml", camera, side)
+        for number in numbers:
+            cv2.imwrite(str(tmp_path / f"{side}{number}.png"), np.zeros((30, 44), np.uint8))
+    code, _, err = run("convert", "images", tmp_path, tmp_path / "i.mcap")
+    told = " ".join(err.split())
+    assert code == 0
+    assert "2 pairs written" in told and "2 images left out" in told
+    assert "left1.png has no right picture beside it" in told and "right4.png has no left picture beside it" in told
 
 
 @pytest.mark.parametrize("command", ["info", "replay", "process", "demo", "parameters", "synthesize", "convert kitti"])

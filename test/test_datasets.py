@@ -184,6 +184,101 @@ def test_kitti_times(tmp_path: Path) -> None:
     assert [f.left.stamp_ns for f in KittiDataset(raw)] == [1_317_042_145_964_389_445]
 
 
+def make_excerpt(folder: Path, numbers: tuple[int, ...], pattern: str = "{:06d}.png") -> Path:
+    """Frames of a sequence, whose gray levels are their numbers."""
+    for number in numbers:
+        picture(folder / "image_0" / pattern.format(number), value=number)
+        picture(folder / "image_1" / pattern.format(number), value=number)
+    (folder / "calib.txt").write_text(f"P0: {P0}\nP1: {P1}\n")
+    return folder
+
+
+def stamps(dataset: StereoDataset) -> dict[int, int]:
+    """Nanoseconds by gray level, in the order of the frames."""
+    frames = list(dataset)
+    assert all(frame.left.stamp_ns == frame.right.stamp_ns for frame in frames)
+    return {int(frame.left.pixels[0, 0]): frame.left.stamp_ns for frame in frames}
+
+
+def test_kitti_excerpt_keeps_the_times_of_its_frames(tmp_path: Path) -> None:
+    folder = make_excerpt(tmp_path, (100, 101, 103))
+    assert stamps(KittiDataset(folder)) == {100: 11_000_000_000, 101: 11_100_000_000, 103: 11_300_000_000}
+    times = np.cumsum(np.arange(110) % 7 + 1) / 64  # gaps that differ from row to row
+    (folder / "times.txt").write_text("".join(f"{time:.6f}\n" for time in times))
+    assert stamps(KittiDataset(folder)) == {n: 10**9 + round(times[n] * 1e9) for n in (100, 101, 103)}
+    (folder / "times.txt").write_text("0.5\n0.75\n2.0\n")  # the excerpt's own
+    assert stamps(KittiDataset(folder)) == {100: 1_500_000_000, 101: 1_750_000_000, 103: 3_000_000_000}
+    (folder / "times.txt").write_text("0\n" * 103)  # one too few
+    with pytest.raises(BagError, match=r"times\.txt has 103 times for 3 pairs, the last of which is frame 103: "):
+        KittiDataset(folder)
+
+
+def test_kitti_image_without_a_partner_has_its_row_of_times(tmp_path: Path) -> None:
+    folder = make_excerpt(tmp_path, (0, 1, 2, 3))
+    (folder / "image_1" / "000001.png").unlink()
+    (folder / "times.txt").write_text("0.5\n0.75\n2.0\n2.25\n")
+    expected = {0: 1_500_000_000, 2: 3_000_000_000, 3: 3_250_000_000}
+    assert stamps(KittiDataset(folder)) == expected
+    for side in ("image_0", "image_1"):  # now frames 4, 5, 6, 7 with a file of their own
+        for path in sorted((folder / side).iterdir()):
+            path.rename(path.with_name(f"{int(path.stem) + 4:06d}.png"))
+    assert stamps(KittiDataset(folder)) == expected
+
+
+def test_kitti_raw_excerpt_keeps_the_times_of_its_frames(tmp_path: Path) -> None:
+    folder = make_kitti(tmp_path, "image_00/data", "image_01/data", names=3)
+    for side in ("image_00", "image_01"):
+        (folder / side / "data" / "000001.png").unlink()
+    rows = [f"2011-09-26 13:02:{second}" for second in ("25.964389445", "26.1", "27.500000001")]
+    (folder / "image_00" / "timestamps.txt").write_text("\n".join(rows) + "\n")
+    assert stamps(KittiDataset(folder)) == {10: 1_317_042_145_964_389_445, 12: 1_317_042_147_500_000_001}
+
+
+def test_kitti_pairs_of_another_calibration_take_their_times_with_them(tmp_path: Path) -> None:
+    folder = make_excerpt(tmp_path, (3, 4, 6, 9))
+    (folder / "calib.txt").unlink()
+    (folder / "calib").mkdir()
+    for number in (3, 4, 6, 9):
+        focal = "60.5" if number == 4 else "50.5"
+        (folder / "calib" / f"{number:06d}.txt").write_text(f"P0: {P0}\nP1: {P1}\n".replace("50.5", focal))
+    dataset = KittiDataset(folder)
+    assert dataset.left_out == 1
+    assert stamps(dataset) == {3: 1_300_000_000, 6: 1_600_000_000, 9: 1_900_000_000}
+    (folder / "times.txt").write_text("0.5\n0.75\n2.0\n2.25\n")
+    assert stamps(KittiDataset(folder)) == {3: 1_500_000_000, 6: 3_000_000_000, 9: 3_250_000_000}
+
+
+def test_kitti_pairs_of_stereo_benchmarks_are_counted(tmp_path: Path) -> None:
+    """Frame 10 of every scene has a truth; the frames around it follow each other at 10 Hz."""
+    folder = make_excerpt(tmp_path / "a", (0, 2, 5), "{:06d}_10.png")
+    assert stamps(KittiDataset(folder)) == {0: 1_000_000_000, 2: 1_200_000_000, 5: 1_500_000_000}
+    folder = make_excerpt(tmp_path / "b", (10, 11, 13), "000001_{:02d}.png")
+    make_excerpt(folder, (210, 211), "000{:03d}.png")
+    for side in ("image_0", "image_1"):
+        for number in (210, 211):
+            (folder / side / f"000{number}.png").rename(folder / side / f"000002_{number - 200}.png")
+    assert stamps(KittiDataset(folder)) == {
+        10: 1_400_000_000,
+        11: 1_500_000_000,
+        13: 1_700_000_000,
+        210: 1_800_000_000,
+        211: 1_900_000_000,
+    }
+
+
+def test_kitti_frames_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    folder = make_excerpt(tmp_path, (2, 10, 9), "{}.png")
+    assert list(stamps(KittiDataset(folder)).items()) == [(2, 1_200_000_000), (9, 1_900_000_000), (10, 2_000_000_000)]
+
+
+def test_kitti_names_that_do_not_number_the_frames(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"first_7\.png has no frame number: KITTI's images are named 000000\.png"):
+        KittiDataset(make_excerpt(tmp_path / "a", (7,), "first_{}.png"))
+    folder = make_excerpt(make_excerpt(tmp_path / "b", (7,)), (7,), "{}.png")
+    with pytest.raises(BagError, match=r"000007\.png and .*7\.png have the same frame number: remove one"):
+        KittiDataset(folder)
+
+
 def test_kitti_stereo_benchmark_has_a_calibration_a_pair_and_a_truth(tmp_path: Path) -> None:
     for name in ("000000_10.png", "000001_10.png", "000002_10.png"):
         picture(tmp_path / "image_2" / name)
@@ -288,9 +383,82 @@ def test_images(tmp_path: Path, pattern: str) -> None:
     assert dataset.rig.doffs_px == pytest.approx(-3.25)
     assert [(f.left.pixels[0, 0], f.right.pixels[0, 0]) for f in dataset] == [(0, 5), (1, 6)]
     assert len(dataset) == 2 and dataset.rig.frame_id == "left_optical_frame"
-    picture(tmp_path / pattern.format(eye="right", index=9))
-    with pytest.raises(BagError, match="has 2 left and 3 right images"):
-        ImagesDataset(tmp_path)
+    alone = tmp_path / pattern.format(eye="right", index=9)
+    picture(alone)
+    dataset = ImagesDataset(tmp_path, right_yaml=tmp_path / "other.yaml")
+    assert (len(dataset), dataset.left_out) == (2, 1)
+    assert dataset.warnings == [f"{alone} has no left picture beside it: it is left out"]
+
+
+def make_images(folder: Path, names: dict[str, int]) -> Path:
+    """Images by name and gray level, and a calibration."""
+    rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
+    for name, value in names.items():
+        picture(folder / name, value=value)
+    write_camera(folder / "left.yaml", rig.left, "left")
+    write_camera(folder / "right.yaml", rig.right, "right")
+    return folder
+
+
+def levels(dataset: StereoDataset) -> list[tuple[int, int]]:
+    """Gray levels of the pairs."""
+    return [(int(frame.left.pixels[0, 0]), int(frame.right.pixels[0, 0])) for frame in dataset]
+
+
+@pytest.mark.parametrize("pattern", ["{side}/{number}.png", "{side}{number}.png", "{side}/{side}{number:02d}.png"])
+def test_images_are_paired_by_name_and_not_by_position(tmp_path: Path, pattern: str) -> None:
+    """As many left as right images, of other frames."""
+    left = {pattern.format(side="left", number=number): number for number in (1, 2, 3, 10)}
+    right = {pattern.format(side="right", number=number): 100 + number for number in (2, 3, 10, 11)}
+    dataset = ImagesDataset(make_images(tmp_path, left | right))
+    assert levels(dataset) == [(2, 102), (3, 103), (10, 110)]
+    assert (len(dataset), dataset.left_out, len(dataset.warnings)) == (3, 2, 2)
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("left/cam0_{}.png", "right/cam1_{}.png"),
+        ("cam0/data/{}.png", "cam1/data/{}.png"),
+        ("image_0/{}.png", "image_1/{}.png"),
+        ("L_{}.PNG", "R_{}.PNG"),
+        ("{}_left.jpg", "{}_right.jpg"),
+    ],
+)
+def test_images_have_any_names_that_calibrate_takes(tmp_path: Path, left: str, right: str) -> None:
+    names = {left.format("0004"): 4, left.format("0007"): 7, right.format("0007"): 107, right.format("0009"): 109}
+    dataset = ImagesDataset(make_images(tmp_path, names))
+    (pair,) = levels(dataset)
+    assert pair == pytest.approx((7, 107), abs=1) and dataset.left_out == 2
+
+
+@pytest.mark.parametrize("pattern", ["{side}/{number}.png", "{side}{number}.png"])
+def test_images_of_other_folders_and_masks_are_no_frames(tmp_path: Path, pattern: str) -> None:
+    names = {pattern.format(side=side, number=5): value for side, value in (("left", 5), ("right", 105))}
+    for side in ("left", "right"):
+        names |= {
+            f"board/{side}5.png": 50,
+            f"rectified/{side}/5.png": 60,
+            pattern.format(side=side, number="_mask"): 255,
+        }
+    dataset = ImagesDataset(make_images(tmp_path, names))
+    assert levels(dataset) == [(5, 105)] and dataset.left_out == 0
+
+
+def test_images_without_any_pair(tmp_path: Path) -> None:
+    folder = make_images(tmp_path, {"left/3.png": 3, "left/4.png": 4, "right/5.png": 5, "right/6.png": 6})
+    with pytest.raises(BagError, match=r"no left picture has the number of a right one, such as 3\.png and 5\.png"):
+        ImagesDataset(folder)
+
+
+def test_middlebury_image_of_another_scene_is_no_partner(tmp_path: Path) -> None:
+    for name, value in (("a_left.png", 1), ("b_left.png", 2), ("b_right.png", 3), ("c_right.png", 4)):
+        picture(tmp_path / name, value=value)
+    for name in "abc":
+        np.savez(tmp_path / f"{name}_disp.npz", np.full((HEIGHT, WIDTH), ord(name), np.float32))
+    dataset = MiddleburyDataset(tmp_path, focal_px=300.0, baseline_m=0.1)
+    assert levels(dataset) == [(2, 3)]
+    assert truth_of(dataset)[0, 0] == ord("b")
 
 
 def test_a_dataset_becomes_a_bag(tmp_path: Path) -> None:

@@ -61,6 +61,34 @@ def test_a_picture_without_a_partner_is_told(tmp_path: Path) -> None:
     assert pictures.warnings == [f"{tmp_path / 'left2.png'} has no right picture beside it: it is left out"]
 
 
+def test_frame_numbers_do_not_name_a_camera(tmp_path: Path) -> None:
+    """image_0.png in left/ is frame 0, not the left one of two cameras."""
+    names = [f"{side}/image_{number}.png" for side in ("left", "right") for number in range(3)]
+    assert [found[1:] for found in values(list(open_pictures(write(tmp_path, names))))] == [
+        (10, 13),
+        (11, 14),
+        (12, 15),
+    ]
+
+
+def test_pictures_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    names = ["left1.png", "left2.png", "left10.png", "right1.png", "right2.png", "right10.png"]
+    assert [found[0] for found in values(list(open_pictures(write(tmp_path, names))))] == [
+        "left1.png",
+        "left2.png",
+        "left10.png",
+    ]
+
+
+def test_what_to_do_without_names_of_cameras_is_told(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="or give --left and --right patterns"):
+        open_pictures(write(tmp_path, ["left1.png", "right2.png"]))
+    with pytest.raises(
+        BagError, match=r"a1\.png is a left and a right picture: give patterns that no file matches both"
+    ):
+        open_pictures(write(tmp_path / "same", ["a1.png", "a2.png"]), "a*.png", "a*.png")
+
+
 def test_colour_pictures_come_grey(tmp_path: Path) -> None:
     for name in ("left1.png", "right1.png"):
         cv2.imwrite(str(tmp_path / name), np.full((4, 6, 3), (0, 0, 200), np.uint8))

@@ -89,6 +89,9 @@ def images(
 ) -> None:
     """Images in DIR/left and DIR/right (or left*.png and right*.png) with the two files of camera_calibration.
 
+    Names that differ in left and right, l and r, cam0 and cam1 or image_0 and image_1 only, and in leading zeros, make
+    a pair. Images without a partner are left out and named.
+
     \b
     Example:
       stereo-depth convert images recording drive.mcap --left-yaml left.yaml --right-yaml right.yaml --rate 15
@@ -118,5 +121,7 @@ def synthesize(
 def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bool) -> None:
     with progress_bar("converting") as progress:
         count = convert_dataset(dataset, output, rate_hz=rate_hz, overwrite=overwrite, progress=progress)
+    for text in getattr(dataset, "warnings", []):
+        messages.print(f"warning: {text}", markup=False)
     left_out = getattr(dataset, "left_out", 0)
     messages.print(f"{count} pairs written to {output}" + (f", {left_out} images left out" if left_out else ""))

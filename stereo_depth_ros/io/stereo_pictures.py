@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,9 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.errors import BagError, TopicError
 from stereo_depth_ros.io.bag_reader import BagMessage, BagReader
 from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
-from stereo_depth_ros.io.datasets import IMAGE_SUFFIXES, read_image
+from stereo_depth_ros.io.datasets import read_image
 from stereo_depth_ros.io.image_message import decode, to_gray
+from stereo_depth_ros.io.image_pairs import find_image_pairs
 from stereo_depth_ros.io.stereo_topics import find_stereo_topics
 from stereo_depth_ros.pairing import StereoPairing
 from stereo_depth_ros.types import U8, Frame
@@ -23,13 +23,7 @@ from stereo_depth_ros.types import U8, Frame
 __all__ = ["BagPictures", "FolderPictures", "PicturePair", "StereoPictures", "open_pictures"]
 
 _BAG_SUFFIXES = (".mcap", ".db3", ".bag")
-_DEPTH = 4  # folders below the one that is named
-_NAMING = "name them left*.png and right*.png, put them into left/ and right/, or give --left and --right patterns"
 _TOLERANCE_S = 0.005  # eyes that are exposed by one trigger, stamped by two clocks
-# the words that name an eye in a path: left, l, cam0, camera_0, image_0
-_EYE = r"{word}|(?<![a-z]){letter}(?![a-z])|(?:(?<=cam)|(?<=camera)|(?<=cam_)|(?<=camera_)|(?<=image_)){digit}(?!\d)"
-_LEFT = re.compile(_EYE.format(word="left", letter="l", digit="0"))
-_RIGHT = re.compile(_EYE.format(word="right", letter="r", digit="1"))
 
 
 @dataclass(frozen=True)
@@ -76,14 +70,14 @@ def open_pictures(place: Path, left: str | None = None, right: str | None = None
 
 
 class FolderPictures:
-    """Image files whose paths differ in the word that names the eye: left, right; l, r; cam0, cam1; image_0, image_1.
+    """Image files in a folder or below it, paired by :func:`find_image_pairs`.
 
     Args:
-        folder: where they are, in it or in folders below.
-        left, right: patterns such as "a/*.png" and "b/*.png"; what the wild cards stand for is equal in a pair.
+        folder: where they are.
+        left, right: patterns such as "a/*.png" and "b/*.png"; None goes by the words for the cameras.
 
     Raises:
-        BagError: no pairs, or the files of one eye only.
+        BagError: one pattern alone, or what :func:`find_image_pairs` raises.
     """
 
     dense = False
@@ -91,18 +85,11 @@ class FolderPictures:
     def __init__(self, folder: Path, left: str | None = None, right: str | None = None) -> None:
         if (left is None) != (right is None):
             raise BagError("--left or --right alone does not tell the other eye's files: give both patterns, or none")
-        if left is not None and right is not None:
-            eyes = _by_pattern(folder, left), _by_pattern(folder, right)
-        else:
-            eyes = _by_word(folder, _LEFT, _RIGHT), _by_word(folder, _RIGHT, _LEFT)
-        _check_eyes(folder, *eyes)
-        keys = sorted(set(eyes[0]) & set(eyes[1]))
-        self.warnings = [
-            f"{paths[key]} has no {other} picture beside it: it is left out"
-            for paths, other in zip(eyes, ("right", "left"), strict=True)
-            for key in sorted(set(paths) - set(keys))
-        ]
-        self._pairs = [(eyes[0][key], eyes[1][key]) for key in keys]
+        try:
+            found = find_image_pairs(folder, left, right)
+        except BagError as error:
+            raise BagError(f"{error}, or give --left and --right patterns" if left is None else str(error)) from error
+        self._pairs, self.warnings = found.pairs, found.warnings
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -115,45 +102,6 @@ class FolderPictures:
 def _gray(path: Path) -> U8:
     pixels = read_image(path)
     return to_gray(Frame(pixels, 0, "", "mono8" if pixels.ndim == 2 else "bgr8"))
-
-
-def _by_word(folder: Path, own: re.Pattern[str], other: re.Pattern[str]) -> dict[tuple[str, ...], Path]:
-    """Files of one eye, by their path without the words that name the eye."""
-    found: dict[tuple[str, ...], Path] = {}
-    for path in _images(folder):
-        text = path.relative_to(folder).as_posix().lower()
-        if own.search(text) and not other.search(text):
-            found[(own.sub("*", text),)] = path
-    return found
-
-
-def _by_pattern(folder: Path, pattern: str) -> dict[tuple[str, ...], Path]:
-    """Files that match, by what the wild cards of the pattern stand for."""
-    parts = re.split(r"(\*\*/|\*|\?)", pattern)
-    wild = {"**/": "((?:.*/)?)", "*": "([^/]*)", "?": "([^/])"}
-    expression = re.compile("".join(wild.get(part, re.escape(part)) for part in parts))
-    paths = {path.relative_to(folder).as_posix(): path for path in _images(folder)}
-    matches = ((expression.fullmatch(text), path) for text, path in paths.items())
-    return {match.groups(): path for match, path in matches if match}
-
-
-def _images(folder: Path) -> list[Path]:
-    levels = ("*/" * depth + "*" for depth in range(_DEPTH))
-    return sorted(path for level in levels for path in folder.glob(level) if path.suffix.lower() in IMAGE_SUFFIXES)
-
-
-def _check_eyes(folder: Path, left: dict[tuple[str, ...], Path], right: dict[tuple[str, ...], Path]) -> None:
-    if not left and not right:
-        raise BagError(f"{folder} has no pictures of a left and a right eye: {_NAMING}")
-    for paths, here, missing in ((right, left, "right"), (left, right, "left")):
-        if not paths:
-            example = next(iter(here.values()))
-            raise BagError(
-                f"{folder} has {len(here)} pictures as {example.name} and none of the {missing} eye: {_NAMING}"
-            )
-    if not set(left) & set(right):
-        examples = f"{next(iter(left.values())).name} and {next(iter(right.values())).name}"
-        raise BagError(f"{folder}: no left picture has the number of a right one, such as {examples}: {_NAMING}")
 
 
 class BagPictures:

@@ -10,36 +10,35 @@ from pathlib import Path
 
 from stereo_depth_ros.errors import BagError
 from stereo_depth_ros.io.datasets import DatasetFrame, check_sizes, list_images, read_frame
+from stereo_depth_ros.io.image_pairs import ImagePairs, find_image_pairs
 from stereo_depth_ros.stereo_rig import StereoRig
 
 __all__ = ["ImagesDataset"]
 
 
 class ImagesDataset:
-    """Images in DIR/left and DIR/right, paired in the order of their names, or DIR/left*.png with DIR/right*.png.
+    """Images in DIR/left and DIR/right, or DIR/left*.png with DIR/right*.png, paired by their names.
+
+    Where DIR has neither, other names that :func:`find_image_pairs` takes, in it or below; ``left_out`` counts the
+    images without a partner, ``warnings`` names them.
 
     Args:
         folder: what holds the images, and ``left.yaml`` and ``right.yaml``.
         left_yaml, right_yaml: calibration files in another place.
 
     Raises:
-        BagError: no images, not as many left as right ones, or no calibration.
+        BagError: no pairs, two images that could be the same one of a pair, or no calibration.
         CalibrationError: a calibration that does not fit the images.
     """
 
     has_stamps = False
 
     def __init__(self, folder: Path, *, left_yaml: Path | None = None, right_yaml: Path | None = None) -> None:
-        left, right = _images(folder, "left"), _images(folder, "right")
-        if not left or len(left) != len(right):
-            raise BagError(
-                f"{folder} has {len(left)} left and {len(right)} right images: put as many into left/ as into right/, "
-                "or name them left*.png and right*.png"
-            )
+        found = _find_pairs(folder)
         files = left_yaml or folder / "left.yaml", right_yaml or folder / "right.yaml"
         if missing := [str(path) for path in files if not path.exists()]:
             raise BagError(f"no calibration {', '.join(missing)}: write it with camera_calibration, or name another")
-        self._pairs = list(zip(left, right, strict=True))
+        self._pairs, self.left_out, self.warnings = found.pairs, len(found.left_out), found.warnings
         self.rig = _named(StereoRig.from_yaml(*files))
         for path in self._pairs[0]:
             check_sizes(self.rig, path)
@@ -58,5 +57,9 @@ def _named(rig: StereoRig) -> StereoRig:
     return replace(rig, left=left, right=right)
 
 
-def _images(folder: Path, eye: str) -> list[Path]:
-    return list_images(folder / eye) if (folder / eye).is_dir() else list_images(folder, f"{eye}*")
+def _find_pairs(folder: Path) -> ImagePairs:
+    """Those of the first place that has images of both sides, so that copies in other folders are no frames."""
+    for left, right in (("left/*", "right/*"), ("left*", "right*")):
+        if all(list_images(folder, pattern) for pattern in (left, right)):
+            return find_image_pairs(folder, left, right)
+    return find_image_pairs(folder)

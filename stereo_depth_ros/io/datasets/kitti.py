@@ -8,7 +8,6 @@ Geiger et al., "Vision meets robotics: the KITTI dataset", IJRR 2013.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.errors import BagError
 from stereo_depth_ros.io.datasets import DatasetFrame, list_images, read_frame, read_image, read_picture
+from stereo_depth_ros.io.datasets.kitti_stamps import frame_numbers, read_stamps
 from stereo_depth_ros.stereo_rig import StereoRig
 from stereo_depth_ros.types import F32, F64
 
@@ -30,22 +30,20 @@ _LAYOUTS = (
     ("image_02/data", "image_03/data", 2, 3),
 )
 _TRUTH_FOLDERS = ("disp_occ_0", "disp_occ")
-_PERIOD_NS = 10**8  # the cameras run at 10 Hz
-_FIRST_STAMP_NS = 10**9  # where a sequence counts from 0: a ROS time of 0 means that no time is set
 
 
 class KittiDataset:
     """A sequence, or the training pairs of a stereo benchmark.
 
     The stereo benchmarks have a calibration file per pair; the pairs that share the calibration of the first one are
-    read, ``left_out`` counts the others.
+    read, ``left_out`` counts the others. Stamps go by the frame numbers in the names, so that excerpts keep theirs.
 
     Args:
         folder: what holds ``image_0`` and ``image_1`` (or ``image_2``/``image_3``, ``image_l``/``image_r``,
             ``image_00/data``/``image_01/data``).
 
     Raises:
-        BagError: no known layout, no calibration, or a file that cannot be read.
+        BagError: no known layout, no calibration, a name that is no frame number, or a file that cannot be read.
         CalibrationError: a calibration that does not fit the images.
     """
 
@@ -54,7 +52,8 @@ class KittiDataset:
     def __init__(self, folder: Path) -> None:
         left, right, *cameras = next((x for x in _LAYOUTS if (folder / x[0]).is_dir()), _LAYOUTS[0])
         self.folder = folder
-        names = [path.name for path in list_images(folder / left) if (folder / right / path.name).exists()]
+        numbers = frame_numbers(list_images(folder / left))
+        names = [name for name in numbers if (folder / right / name).exists()]
         if not names:
             raise BagError(f"{folder} is not a KITTI folder: it has no pairs in image_0 and image_1 or the like")
         calibrations = {name: _find_calibration(folder, name) for name in names}
@@ -62,7 +61,7 @@ class KittiDataset:
         kept = [name for name in names if calibrations[name].read_bytes() == first]
         self.left_out = len(names) - len(kept)
         self._pairs = [(folder / left / name, folder / right / name) for name in kept]
-        self._stamps = _read_stamps(folder, Path(left).parent, len(names))
+        self._stamps = read_stamps(folder, Path(left).parent, numbers, names)
         height, width = read_image(self._pairs[0][0]).shape[:2]
         calibration = read_calibration(calibrations[names[0]])
         self.rig = rig_from_calibration(calibration, (cameras[0], cameras[1]), (width, height))
@@ -71,7 +70,8 @@ class KittiDataset:
         return len(self._pairs)
 
     def __iter__(self) -> Iterator[DatasetFrame]:
-        for (left, right), stamp_ns in zip(self._pairs, self._stamps, strict=False):
+        for left, right in self._pairs:
+            stamp_ns = self._stamps[left.name]
             yield DatasetFrame(
                 read_frame(left, self.rig.left, stamp_ns),
                 read_frame(right, self.rig.right, stamp_ns),
@@ -164,29 +164,6 @@ def _find_calibration(folder: Path, image: str) -> Path:
         if place.exists():
             return place
     raise BagError(f"no calibration for {folder}: put calib.txt or calib_cam_to_cam.txt there")
-
-
-def _read_stamps(folder: Path, camera: Path, count: int) -> list[int]:
-    """Nanoseconds of each pair: times.txt (odometry), timestamps.txt (raw), else 10 Hz."""
-    try:
-        if (path := folder / "times.txt").exists():
-            stamps = [_FIRST_STAMP_NS + round(float(time) * 1e9) for time in path.read_text().split()]
-        elif (path := folder / camera / "timestamps.txt").exists():
-            stamps = [_parse_date(row) for row in path.read_text().splitlines() if row.strip()]
-        else:
-            return [_FIRST_STAMP_NS + index * _PERIOD_NS for index in range(count)]
-    except ValueError as error:
-        raise BagError(f"{path} is not a list of times: {error}") from error
-    if len(stamps) < count:
-        raise BagError(f"{path} has {len(stamps)} times for {count} pairs: copy it again, or remove it to have 10 Hz")
-    return stamps
-
-
-def _parse_date(row: str) -> int:
-    """Nanoseconds of a row like 2011-09-26 13:02:25.964389445."""
-    whole, _, fraction = row.strip().partition(".")
-    seconds = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=timezone.utc)
-    return int(seconds.timestamp()) * 10**9 + int(fraction.ljust(9, "0")[:9] or 0)
 
 
 def read_truth(path: Path) -> F32:

@@ -89,16 +89,26 @@ def view_scale(width: int) -> int:
 
 
 def _find_layout(folder: Path) -> tuple[Path, Path, Path | None]:
-    for left, right, truth in _LAYOUTS:
-        found = [_single(folder, pattern) for pattern in (left, right, truth) if pattern]
-        if all(found):
-            paths = [path for path in found if path]
-            return paths[0], paths[1], paths[2] if truth else None
+    for layout in _LAYOUTS:
+        for scene in _scene_names(folder, layout[0]):
+            left, right, truth = (pattern and _single(folder, scene, pattern) for pattern in layout)
+            if left and right and (truth or not layout[2]):
+                return left, right, truth or None
     known = "; ".join(f"{left} with {right}" for left, right, _ in dict.fromkeys(_LAYOUTS))
     raise BagError(f"{folder} is not a Middlebury scene: it holds none of {known}")
 
 
-def _single(folder: Path, pattern: str) -> Path | None:
+def _scene_names(folder: Path, left: str) -> list[str]:
+    """What a pattern like *_left.png has in front, which all files of a scene share; nothing for other patterns."""
+    if not left.startswith("*"):
+        return [""]
+    return sorted(path.name.removesuffix(left[1:]) for path in folder.glob(left))
+
+
+def _single(folder: Path, scene: str, pattern: str) -> Path | None:
+    if pattern.startswith("*"):
+        path = folder / (scene + pattern[1:])
+        return path if path.exists() else None
     return next(iter(sorted(folder.glob(pattern))), None)
 
 

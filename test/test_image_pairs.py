@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which image files make a pair: by their names, whatever else is in the folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stereo_depth_ros.errors import BagError
+from stereo_depth_ros.io.image_pairs import find_image_pairs
+
+
+def touch(folder: Path, *names: str) -> Path:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    return folder
+
+
+def found(folder: Path, left: str | None = None, right: str | None = None) -> list[tuple[str, str]]:
+    """Paths within the folder."""
+    pairs = find_image_pairs(folder, left, right).pairs
+    return [(left.relative_to(folder).as_posix(), right.relative_to(folder).as_posix()) for left, right in pairs]
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("left/left01.png", "right/right01.png"),
+        ("left/cam0_0001.png", "right/cam1_0001.png"),
+        ("left/cam1_0001.png", "right/cam0_0001.png"),  # the folder tells the side
+        ("left/left_turn.png", "right/left_turn.png"),
+        ("left1.png", "right01.png"),
+        ("left01.PNG", "right01.png"),
+        ("left01.png", "right01.jpg"),
+        ("Left/1.png", "Right/1.png"),
+        ("bright_left_1.png", "bright_right_1.png"),
+        ("left_turn/cam0/1.png", "left_turn/cam1/1.png"),
+        ("cam0.png", "cam1.png"),
+        ("a/image_0/000007.png", "a/image_1/000007.png"),
+        ("image_l/000007.png", "image_r/000007.png"),
+    ],
+)
+def test_names_of_a_pair(tmp_path: Path, left: str, right: str) -> None:
+    assert found(touch(tmp_path, left, right)) == [(left, right)]
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("left/image_0.png", "right/image_1.png"),  # frames 0 and 1
+        ("left/1.05.png", "right/1.5.png"),  # seconds
+        ("left/a/1.png", "right/b/1.png"),
+        ("left10.png", "right1.png"),
+    ],
+)
+def test_names_that_make_no_pair(tmp_path: Path, left: str, right: str) -> None:
+    with pytest.raises(BagError, match="no left picture has the number of a right one, such as"):
+        find_image_pairs(touch(tmp_path, left, right))
+
+
+def test_numbers_are_compared_as_numbers_and_order_the_pairs(tmp_path: Path) -> None:
+    touch(tmp_path, *(f"left{number}.png" for number in (1, 2, 9, 10)))
+    touch(tmp_path, *(f"right{number:03d}.png" for number in (2, 9, 10, 100)))
+    pairs = find_image_pairs(tmp_path)
+    assert found(tmp_path) == [
+        ("left2.png", "right002.png"),
+        ("left9.png", "right009.png"),
+        ("left10.png", "right010.png"),
+    ]
+    assert pairs.left_out == [tmp_path / "left1.png", tmp_path / "right100.png"]
+    assert pairs.warnings == [
+        f"{tmp_path / 'left1.png'} has no right picture beside it: it is left out",
+        f"{tmp_path / 'right100.png'} has no left picture beside it: it is left out",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("left1.png", "left01.png"),
+        ("left1.jpg", "left1.png"),
+        ("LEFT1.png", "left1.png"),
+    ],
+)
+def test_two_files_of_one_frame_are_refused(tmp_path: Path, one: str, other: str) -> None:
+    touch(tmp_path, one, other, other.replace("left", "right"))
+    with pytest.raises(BagError) as error:
+        find_image_pairs(tmp_path)
+    assert one in str(error.value) and other in str(error.value)
+    assert "are the left picture of one pair: remove one or rename it" in str(error.value)
+
+
+def test_equal_names_go_before_digits_for_cameras(tmp_path: Path) -> None:
+    touch(tmp_path, "left_cam0_1.png", "left_cam1_1.png", "right_cam1_1.png")
+    assert found(tmp_path) == [("left_cam1_1.png", "right_cam1_1.png")]
+    (tmp_path / "right_cam1_1.png").rename(tmp_path / "right_cam2_1.png")
+    with pytest.raises(BagError, match="no left picture has the number of a right one"):
+        find_image_pairs(tmp_path)
+
+
+def test_a_second_image_of_a_frame_without_a_partner_is_left_out(tmp_path: Path) -> None:
+    touch(tmp_path, "left1.png", "left01.png", "left2.png", "right2.png")
+    assert found(tmp_path) == [("left2.png", "right2.png")]
+    assert len(find_image_pairs(tmp_path).left_out) == 2
+
+
+def test_files_that_are_no_pictures(tmp_path: Path) -> None:
+    touch(
+        tmp_path, "left1.png", "right1.png", "left.yaml", "right.yaml", "left1.txt", "mask_left.png", "mask_right.png"
+    )
+    touch(tmp_path, "masks/left/1.png", "masks/right/1.png", "._left1.png", "._right1.png", "rows.png")
+    pairs = find_image_pairs(tmp_path)
+    assert found(tmp_path) == [("left1.png", "right1.png")] and not pairs.left_out
+    assert pairs.warnings == []
+
+
+def test_a_name_with_both_sides_is_told(tmp_path: Path) -> None:
+    touch(tmp_path, "left1.png", "right1.png", "left_right_2.png")
+    pairs = find_image_pairs(tmp_path)
+    assert pairs.left_out == [tmp_path / "left_right_2.png"]
+    assert pairs.warnings == [f"{tmp_path / 'left_right_2.png'} names the left and the right camera: it is left out"]
+
+
+def test_patterns(tmp_path: Path) -> None:
+    touch(tmp_path, "a/x1.png", "a/x2.png", "b/y02.png", "b/y01.png", "b/z1.png", "left1.png", "right1.png")
+    assert found(tmp_path, "a/x*.png", "b/y*.png") == [("a/x1.png", "b/y01.png"), ("a/x2.png", "b/y02.png")]
+    with pytest.raises(BagError, match=r"1 pictures as left1\.png and none of the right eye"):
+        find_image_pairs(tmp_path, "left*", "nothing*")
