@@ -24,7 +24,7 @@ __all__ = ["DisparityStage"]
 
 
 class DisparityStage:
-    """Rectified pair to disparities of one rig.
+    """Rectified pair to disparities of one rig, for any number of threads.
 
     Args:
         config: the matcher and its parameters.
