@@ -40,7 +40,8 @@ class Matcher(Protocol):
 
         Args:
             left, right: uint8 (H, W), rectified grey: a point has the same row in both.
-            out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it.
+            out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it. The matcher
+                fills it with a copy, so that it may be used again while results are kept for their confidence.
 
         Raises:
             ImageError: wrong dtype or shape, or too small for the window and the search.
