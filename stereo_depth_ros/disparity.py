@@ -24,7 +24,7 @@ __all__ = ["DisparityStage"]
 
 
 class DisparityStage:
-    """Rectified pair to disparities of one rig.
+    """Rectified pair to disparities of one rig, for any number of threads.
 
     Args:
         config: the matcher and its parameters.
@@ -47,7 +47,7 @@ class DisparityStage:
         """Disparities of a rectified pair, NaN with a reason where there is none.
 
         Rejected are RANGE, what does not lie in front of the cameras, and BORDER, where the matching window leaves what
-        the raw left or right camera saw.
+        the raw left or right camera saw. What is rejected has no confidence, see :class:`MatchResult`.
 
         Args:
             left, right: uint8 (H, W).

@@ -18,7 +18,7 @@ __all__ = ["FeatureStage"]
 
 
 class FeatureStage:
-    """Rectified pair to matched features of one rig; the sparse counterpart of DisparityStage.
+    """Rectified pair to matched features of one rig; the sparse counterpart of DisparityStage, for threads as well.
 
     Args:
         config: the features and the search.

@@ -26,6 +26,8 @@ __all__ = ["StereoPipeline", "StereoResult"]
 class StereoPipeline:
     """Rectify, match; depth and points follow from the result on demand.
 
+    Several threads may call it at once: their pairs are matched one after the other.
+
     Args:
         config: parameters of all stages.
         rig: the cameras; with an uncalibrated one the path ends with disparities.

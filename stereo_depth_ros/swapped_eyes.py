@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 import cv2
@@ -33,6 +34,7 @@ class EyeOrder:
         self._doffs_px = doffs_px
         self._known = False
         self._frames = 0
+        self._turn = threading.Lock()
 
     def check(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None = None) -> None:
         """Look at a pair, until one has shown that the order is right; what shows nothing passes.
@@ -47,6 +49,11 @@ class EyeOrder:
         """
         if self._known or left.shape != right.shape:
             return
+        with self._turn:  # no pair passes while another is looked at
+            if not self._known:
+                self._look(left, right, exchange)
+
+    def _look(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None) -> None:
         self._frames += 1
         if self._frames % _AGAIN != 1:
             return

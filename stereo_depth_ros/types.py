@@ -76,7 +76,10 @@ class RectifiedPair:
 
 @dataclass(frozen=True)
 class MatchResult:
-    """What a matcher returns.
+    """What a matcher returns, or the disparity stage, which takes more out.
+
+    A snapshot: no later call changes it, unless a buffer that the caller gave for ``disparity_px`` is used again; the
+    confidence does not change even then. Without such a buffer, ask for the confidence before writing into the arrays.
 
     Attributes:
         disparity_px: float32 (H, W), x_left - x_right in pixels, NaN where invalid.
@@ -92,9 +95,15 @@ class MatchResult:
 
     @cached_property
     def confidence(self) -> F32 | None:
-        """How far each disparity can be trusted, float32 (H, W) in [0, 1], 0 where there is none."""
+        """How far each disparity can be trusted, float32 (H, W) in [0, 1], 0 where there is none or one was filled in.
+
+        Computed when it is first asked for, of the disparities in this result. What the disparity stage took out has
+        none; to methods that count the neighbors that agree it is a hole, which supports nobody. Confidences that a
+        method gives as an array stay as they are elsewhere.
+        """
         source = self.confidence_source
-        return source() if callable(source) else source
+        confidence = source() if callable(source) else source
+        return None if confidence is None else np.where(self.reasons == 0, confidence, np.float32(0))
 
     @property
     def valid_fraction(self) -> float:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -245,6 +246,24 @@ def test_same_input_same_bytes_in_any_memory(tmp_path: Path) -> None:
         result = by_name.match(frozen, right.copy())
         assert result.disparity_px.tobytes() == expected.disparity_px.tobytes()
         assert result.reasons.tobytes() == expected.reasons.tobytes()
+
+
+def test_two_threads_and_a_buffer_that_is_used_again(tmp_path: Path) -> None:
+    network = Network()
+    shared = matcher(network.save(tmp_path / "network.onnx", {"output": block_matching(network)}))
+    pairs = [shifted_pair(50, 140, 7), shifted_pair(50, 140, 12)]
+    expected = [shared.match(*pair) for pair in pairs]
+    out = np.empty((50, 140), np.float32)
+    first = shared.match(*pairs[0], out)
+    shared.match(*pairs[1], out)
+    np.testing.assert_array_equal(first.confidence, expected[0].confidence)
+
+    def work(thread: int) -> bool:
+        found = [shared.match(*pairs[thread]).disparity_px.tobytes() for _ in range(10)]
+        return found == [expected[thread].disparity_px.tobytes()] * 10
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(work, range(2))) == [True, True]
 
 
 def test_missing_model_or_file(tmp_path: Path) -> None:

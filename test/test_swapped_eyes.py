@@ -4,12 +4,17 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from stereo_depth_ros import swapped_eyes
 from stereo_depth_ros.errors import ImageError
 from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
 from stereo_depth_ros.rectification import Rectifier
@@ -46,6 +51,31 @@ def test_pictures_that_show_nothing_pass_and_are_looked_at_again(verged_pair: tu
         order.check(np.zeros_like(left), np.zeros_like(right))
     with pytest.raises(ImageError, match="eyes look swapped"):
         order.check(right, left)
+
+
+def test_no_thread_passes_swapped_eyes_while_another_looks_at_them(
+    verged_pair: tuple[U8, U8, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right, doffs_px = verged_pair
+    smooth_share = swapped_eyes._smooth_share
+
+    def slow(*pair: Any) -> float:
+        time.sleep(0.05)
+        return smooth_share(*pair)
+
+    monkeypatch.setattr(swapped_eyes, "_smooth_share", slow)
+    order, start = EyeOrder(doffs_px), threading.Barrier(2)
+
+    def refused(_: int) -> bool:
+        start.wait(timeout=60)
+        try:
+            order.check(right, left)
+        except ImageError:
+            return True
+        return False
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(refused, range(2))) == [True, True]
 
 
 def test_images_too_small_for_the_search_pass() -> None:

@@ -11,8 +11,9 @@ import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.matching.disparity_selection import I64, finish, median_filter
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, disparity_buffer
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair
 from stereo_depth_ros.matching.refinement import I16
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.window import WindowMatcher
 from stereo_depth_ros.matching.window_growth import Maps, distances, grow_window, scratch
 from stereo_depth_ros.parallel import compiled, run_bands
@@ -26,7 +27,7 @@ SURFACE_DISTANCE = 4  # px from a pixel to those whose disparity it may take ove
 MEDIAN_SIDE = 5
 
 
-class AdaptiveWindowMatcher:
+class AdaptiveWindowMatcher(SerialMatcher):
     """Adaptive window (Kanade and Okutomi 1991, 1994) around the disparities of :class:`WindowMatcher`.
 
     A pixel at distance r from the window's centre, whose disparity may differ from the centre's, has the difference of
@@ -61,19 +62,17 @@ class AdaptiveWindowMatcher:
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""
-        self.config = config
+        super().__init__(config)
         self._checked = WindowMatcher(dataclasses.replace(config, speckle_size=0))
         # Windows grow over all disparities there are: pixels that the checks reject are only left out of the result.
         unchecked = dataclasses.replace(config, speckle_size=0, uniqueness_ratio=0.0, disp12_max_diff=0)
         self._initial = WindowMatcher(unchecked)
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
+    def _match(self, left: U8, right: U8) -> MatchResult:
         check_pair(left, right, self.config)
-        disparity_px = disparity_buffer(out, left.shape)
         initial, checked = self._initial.match(left, right), self._checked.match(left, right)
         fixed = self._refine(left, right, initial)
-        return finish(fixed, checked.reasons, self.config, self.step_px, disparity_px)
+        return finish(fixed, checked.reasons, self.config, self.step_px)
 
     def _refine(self, left: U8, right: U8, initial: MatchResult) -> I16:
         """Disparities in 1/16 px after all iterations, 0 where the initial ones are invalid."""

@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.matching.agreement import agreement
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.refinement import I16, I32, SpeckleFilter, disparity_from_fixed
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.parallel import READ_ONLY_U8, compiled, run_bands
-from stereo_depth_ros.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.types import U8, MatchResult, Reason
 
 __all__ = ["BlockMatcher"]
 
@@ -28,7 +29,7 @@ UNIQUENESS = int(Reason.UNIQUENESS)
 LEFT_RIGHT = int(Reason.LEFT_RIGHT)
 
 
-class BlockMatcher:
+class BlockMatcher(SerialMatcher):
     """The block matching of ``cv2.StereoBM`` (Konolige 1998), computed here, with the same disparities to the last bit.
 
     Faster, because the sums of one row stay in the cache and fill the registers; and every rejected pixel has its
@@ -48,7 +49,7 @@ class BlockMatcher:
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""
         check_search(config)
-        self.config = config
+        super().__init__(config)
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range)
         largest_sum = config.correlation_window_size**2 * 2 * config.prefilter_cap
         # An empty array that tells the kernel in which type to sum: 16 bits are twice as many at once.
@@ -56,11 +57,10 @@ class BlockMatcher:
         self._filtered: U8 = np.empty((2, 0, 0), np.uint8)
         self._fixed: I16 = np.empty((0, 0), np.int16)
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
+    def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
         check_pair(left, right, config)
-        disparity_px = disparity_buffer(out, left.shape)
+        disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
         if self._fixed.shape != left.shape:
             self._filtered = np.empty((2, *left.shape), np.uint8)

@@ -12,8 +12,9 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.matching.brightness import match_brightness
 from stereo_depth_ros.matching.disparity_selection import finish, select_row
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.refinement import I16
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.parallel import READ_ONLY_U8, compiled, run_bands
 from stereo_depth_ros.types import F32, U8, MatchResult
 
@@ -34,7 +35,7 @@ DIFFUSION_RATE = 0.15
 HOLD_RATE = 0.02
 
 
-class DiffusionMatcher:
+class DiffusionMatcher(SerialMatcher):
     """Diffusion of the disparity space (Scharstein and Szeliski 1998), ``iterations`` times; 0 is 80.
 
     The cost of a pixel at a disparity is E0 = -log of a contaminated Gaussian of the grey difference, the
@@ -57,14 +58,12 @@ class DiffusionMatcher:
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""
         check_search(config)
-        self.config = config
+        super().__init__(config)
         self._iterations = config.iterations or ITERATIONS
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
+    def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
         check_pair(left, right, config)
-        disparity_px = disparity_buffer(out, left.shape)
         rows = left.shape[0]
         data = np.empty((*left.shape, config.num_disparities), np.float32)
         images = (match_brightness(left, right, config), np.ascontiguousarray(right))
@@ -75,7 +74,7 @@ class DiffusionMatcher:
         reasons = np.empty(left.shape, np.uint8)
         checks = (config.uniqueness_ratio, config.disp12_max_diff)
         run_bands(_select_rows, rows, energies, config.max_disparity, *checks, fixed, reasons)
-        return finish(fixed, reasons, config, self.step_px, disparity_px)
+        return finish(fixed, reasons, config, self.step_px)
 
     def _bayesian_energies(self, data: F32) -> F32:
         beside = math.exp(-1 / (2 * STEP_SIGMA_PX**2))

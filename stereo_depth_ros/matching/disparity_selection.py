@@ -152,12 +152,11 @@ def _median_rows(
             filtered[y, x] = median + low
 
 
-def finish(
-    fixed: I16, reasons: U8, config: MatchingConfig, step_px: float, out: F32, lead: F32 | None = None
-) -> MatchResult:
+def finish(fixed: I16, reasons: U8, config: MatchingConfig, step_px: float, lead: F32 | None = None) -> MatchResult:
     """Speckles out (``speckle_range`` in px), disparities to pixels; the confidence is their :func:`agreement`."""
     SpeckleFilter(config.speckle_size, config.speckle_range * FIXED_STEPS)(fixed, reasons)
-    disparity_from_fixed(fixed, reasons, out)
+    disparity_px = np.empty(fixed.shape, np.float32)
+    disparity_from_fixed(fixed, reasons, disparity_px)
     if lead is not None:
         lead[reasons != 0] = 0  # also where holes will be filled
-    return MatchResult(out, reasons, step_px, functools.partial(agreement, out, lead))
+    return MatchResult(disparity_px, reasons, step_px, functools.partial(agreement, disparity_px, lead))

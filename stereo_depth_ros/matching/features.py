@@ -14,7 +14,8 @@ import numpy.typing as npt
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.depth import Triangulation
 from stereo_depth_ros.matching.line_segments import common_rows, detect_segments, line_similarity
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.types import F32, F64, U8, Frame, MatchResult, Reason
 
 __all__ = ["FeatureMatcher", "FeatureMatches", "nearest_pixels"]
@@ -81,7 +82,7 @@ class FeatureMatches:
         return triangulation.points(self.left_xy, self.right_xy)
 
 
-class FeatureMatcher:
+class FeatureMatcher(SerialMatcher):
     """Corners, SIFT (Lowe 2004) or ORB (Rublee et al. 2011), or line segments, matched by what describes them.
 
     A left feature is compared with the right features of its row, give or take a pixel, at the disparities searched.
@@ -102,12 +103,11 @@ class FeatureMatcher:
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""
         check_search(config)
-        self.config = config
+        super().__init__(config)
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`; a feature is told at the pixel it lies in."""
+    def _match(self, left: U8, right: U8) -> MatchResult:
+        """A feature is told at the pixel it lies in."""
         check_pair(left, right, self.config)
-        disparity_px = disparity_buffer(out, left.shape)
         matches, lost_xy, why = self._find(left, right, MAX_ROW_DIFFERENCE_PX)
         reasons = np.full(left.shape, Reason.NO_MATCH, np.uint8)
         reasons[nearest_pixels(lost_xy, left)] = why
@@ -117,7 +117,7 @@ class FeatureMatcher:
         matches = matches.take(np.argsort(matches.score, kind="stable"))  # of several in a pixel the best comes last
         at = nearest_pixels(matches.left_xy, left)
         confidence = np.zeros(left.shape, np.float32)
-        disparity_px.fill(np.nan)
+        disparity_px = np.full(left.shape, np.nan, np.float32)
         disparity_px[at], confidence[at], reasons[at] = matches.disparity_px, matches.score, Reason.VALID
         return MatchResult(disparity_px, reasons, self.step_px, confidence)
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 
 import cv2
 import numpy as np
@@ -14,8 +14,9 @@ from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.matching.costs import COST_STEPS
 from stereo_depth_ros.matching.disparity_selection import finish
 from stereo_depth_ros.matching.energy import I32, StereoModel, searched_columns, stereo_model
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.refinement import I16
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.types import F32, U8, MatchResult, Reason
 
 __all__ = ["NO_LABEL", "LabellingMatcher", "lead"]
@@ -24,7 +25,7 @@ NO_LABEL = -1
 LEAST_SMOOTHNESS = 1 / COST_STEPS
 
 
-class LabellingMatcher(ABC):
+class LabellingMatcher(SerialMatcher):
     """A method that gives every pixel a label, the index of a whole disparity, or none where it takes it for occluded.
 
     Disparities are whole pixels: a fit of the costs beside them would move more pixels away from the truth than
@@ -34,7 +35,6 @@ class LabellingMatcher(ABC):
     is :func:`lead`, over windows of ``correlation_window_size``, times the share of disparities around that agree.
     """
 
-    name: str
     step_px = 1.0
 
     def __init__(self, config: MatchingConfig) -> None:
@@ -45,17 +45,15 @@ class LabellingMatcher(ABC):
                 f"smoothness = {config.smoothness:g} is below {LEAST_SMOOTHNESS:g} grey levels, half a level being the "
                 f"unit of {self.name}: take {LEAST_SMOOTHNESS:g} or more, or 0 for the method's own"
             )
-        self.config = config
+        super().__init__(config)
 
     @abstractmethod
     def _label(self, model: StereoModel) -> I32:
         """int32 (H, W), label of every pixel of the model, ``NO_LABEL`` where it is occluded."""
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
+    def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
         check_pair(left, right, config)
-        disparity_px = disparity_buffer(out, left.shape)
         columns = searched_columns(config, left.shape[1])
         fixed = np.zeros(left.shape, np.int16)
         reasons = np.full(left.shape, Reason.BORDER, np.uint8)
@@ -69,7 +67,7 @@ class LabellingMatcher(ABC):
         leads[:, columns] = lead(model, labels, config.correlation_window_size)
         if right_labels is not None:
             _check_right(fixed, reasons, right_labels, config)
-        return finish(fixed, reasons, config, self.step_px, disparity_px, leads)
+        return finish(fixed, reasons, config, self.step_px, leads)
 
     def _right_labels(self, left: U8, right: U8) -> I32:
         """Labels of the right image, int32 (H, W), ``NO_LABEL`` where it has none."""

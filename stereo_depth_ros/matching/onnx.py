@@ -16,7 +16,8 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.matching.agreement import agreement
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.types import F32, U8, MatchResult, Reason
 
 __all__ = ["OnnxMatcher"]
@@ -25,7 +26,7 @@ INPUT_TYPES: dict[str, type[np.generic]] = {"tensor(float)": np.float32, "tensor
 PAD_MULTIPLE = 32  # sizes that are free are padded to it: networks halve their images up to five times
 
 
-class OnnxMatcher:
+class OnnxMatcher(SerialMatcher):
     """The network in the file ``onnx_model``, run by ONNX Runtime on the CPU.
 
     It has two inputs (1, C, H, W) of 1 or 3 channels that take grey values of 0 to 255 as float32 or uint8; any scaling
@@ -48,19 +49,13 @@ class OnnxMatcher:
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where ONNX Runtime or the file is missing, or the network has other inputs or outputs."""
         check_search(config)
-        self.config = config
+        super().__init__(config)
         self._session = _open(config.onnx_model)
         self._left, self._right = _inputs(self._session.get_inputs(), config.onnx_model)
         self._output = _disparity_output(self._session.get_outputs(), config.onnx_model)
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`.
-
-        Raises:
-            ConfigError: the network fails, or its output has another size than its input.
-        """
+    def _match(self, left: U8, right: U8) -> MatchResult:
         check_pair(left, right, self.config)
-        disparity_px = disparity_buffer(out, left.shape)
         first = self.config.min_disparity
         wider = max(0, -first)
         ours = cv2.copyMakeBorder(left, 0, 0, wider, 0, cv2.BORDER_REPLICATE)
@@ -70,7 +65,7 @@ class OnnxMatcher:
         found = found[:height, :width] * np.float32(ours.shape[1] / width)
         if found.shape != ours.shape:
             found = cv2.resize(found, ours.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-        np.add(found[:, wider:], np.float32(first), out=disparity_px)
+        disparity_px = found[:, wider:] + np.float32(first)
         reasons = _reasons(disparity_px, self.config)
         disparity_px[reasons != 0] = np.nan
         return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px))

@@ -12,7 +12,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError, ImageError
 from stereo_depth_ros.types import F32, U8, MatchResult
 
-__all__ = ["Matcher", "check_images", "check_pair", "check_search", "disparity_buffer"]
+__all__ = ["Matcher", "check_buffer", "check_images", "check_pair", "check_search"]
 
 # Disparities are 16-bit integers in steps of 1/16 px, as OpenCV's; one whole step is kept for "invalid".
 FIXED_STEPS = 16
@@ -21,7 +21,7 @@ HIGHEST_DISPARITY = 2047
 
 
 class Matcher(Protocol):
-    """A stereo matching method. One object serves one thread at a time: it keeps its buffers between frames."""
+    """A stereo matching method. It keeps buffers between frames: calls from several threads wait for each other."""
 
     @property
     def name(self) -> str:
@@ -40,7 +40,8 @@ class Matcher(Protocol):
 
         Args:
             left, right: uint8 (H, W), rectified grey: a point has the same row in both.
-            out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it.
+            out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it. The matcher
+                fills it with a copy, so that it may be used again while results are kept for their confidence.
 
         Raises:
             ImageError: wrong dtype or shape, or too small for the window and the search.
@@ -88,13 +89,10 @@ def check_pair(left: U8, right: U8, config: MatchingConfig, partial: bool = Fals
         )
 
 
-def disparity_buffer(out: F32 | None, shape: tuple[int, ...]) -> F32:
-    """``out`` after a check, or a new float32 array of ``shape``."""
-    if out is None:
-        return np.empty(shape, np.float32)
+def check_buffer(out: F32, shape: tuple[int, ...]) -> None:
+    """ImageError where ``out`` is no buffer for the disparities of images of ``shape``."""
     if out.dtype != np.float32 or out.shape != shape or not out.flags.c_contiguous or not out.flags.writeable:
         raise ImageError(
             f"disparity buffer is {out.dtype} of shape {out.shape}, it must be writeable C-contiguous float32 "
             f"of shape {shape}: pass such an array or None"
         )
-    return out

@@ -11,7 +11,7 @@ from stereo_depth_ros.matching.energy import I32, StereoModel
 from stereo_depth_ros.matching.hole_filling import fill_holes
 from stereo_depth_ros.matching.labelling import NO_LABEL, LabellingMatcher
 from stereo_depth_ros.parallel import compiled, run_bands
-from stereo_depth_ros.types import F32, U8, MatchResult
+from stereo_depth_ros.types import U8, MatchResult
 
 __all__ = ["ScanlineMatcher"]
 
@@ -43,9 +43,8 @@ class ScanlineMatcher(LabellingMatcher):
 
     name = "scanline"
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
-        result = super().match(left, right, out)
+    def _match(self, left: U8, right: U8) -> MatchResult:
+        result = super()._match(left, right)
         if self.config.fill_holes:
             fill_holes(result.disparity_px, result.reasons)
         return result

@@ -13,10 +13,11 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.matching.agreement import agreement
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.refinement import I16, SpeckleFilter, disparity_from_fixed
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.parallel import compiled, run_bands
-from stereo_depth_ros.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.types import U8, MatchResult, Reason
 
 __all__ = ["SemiGlobalBlockMatcher", "penalties"]
 
@@ -31,7 +32,7 @@ BORDER = int(Reason.BORDER)
 NO_MATCH = int(Reason.NO_MATCH)
 
 
-class SemiGlobalBlockMatcher:
+class SemiGlobalBlockMatcher(SerialMatcher):
     """``cv2.StereoSGBM`` (Hirschmueller 2008, with block costs of Birchfield and Tomasi 1998).
 
     One run over the whole image: paths cross all rows, so bands would change the result. ``uniqueness_ratio``, ``P1``
@@ -53,7 +54,7 @@ class SemiGlobalBlockMatcher:
             raise ConfigError(
                 f"uniqueness_ratio = {config.uniqueness_ratio:g} divides by zero in sgbm_mode 2: take 99 or less"
             )
-        self.config = config
+        super().__init__(config)
         self._invalid = (config.min_disparity - 1) * FIXED_STEPS
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * FIXED_STEPS)
         self._fixed: I16 = np.empty((0, 0), np.int16)
@@ -71,11 +72,10 @@ class SemiGlobalBlockMatcher:
             mode=MODES[config.sgbm_mode],
         )
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
+    def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
         check_pair(left, right, config)
-        disparity_px = disparity_buffer(out, left.shape)
+        disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
         if self._fixed.shape != left.shape:
             self._fixed = np.empty(left.shape, np.int16)

@@ -15,8 +15,9 @@ from stereo_depth_ros.matching.census import CENSUS_BITS, U64, census_rows
 from stereo_depth_ros.matching.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.hole_filling import fill_holes
 from stereo_depth_ros.matching.path_costs import LARGEST_PATH_COST
-from stereo_depth_ros.matching.protocol import check_pair, disparity_buffer
+from stereo_depth_ros.matching.protocol import check_pair
 from stereo_depth_ros.matching.refinement import I16, SpeckleFilter
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.strips import (
     SPECKLE_STEPS_PER_PX,
     STEPS_PER_PX,
@@ -38,7 +39,7 @@ APPROACH_BYTES = 64 << 20  # of costs; searches of thousands of disparities appr
 _NAN = np.float32(np.nan)
 
 
-class SemiGlobalMatcher:
+class SemiGlobalMatcher(SerialMatcher):
     """Semi-global matching (Hirschmueller 2008) of census costs (Zabih and Woodfill 1994).
 
     Costs are Hamming distances of 9 x 7 census codes, smoothed over 3 x 3 pixels. They are summed along ``sgm_paths``
@@ -63,7 +64,7 @@ class SemiGlobalMatcher:
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the penalties contradict each other."""
         _check_penalties(config)
-        self.config = config
+        super().__init__(config)
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * SPECKLE_STEPS_PER_PX)
         self._disparity_filter = DisparityFilter(config.disparity_filter, self.step_px)
         lowered = config.sgm_P2 * EDGE_GREY_LEVELS / (EDGE_GREY_LEVELS + np.arange(256))
@@ -78,10 +79,9 @@ class SemiGlobalMatcher:
         )
         self._census: U64 = np.empty((2, 0, 0), np.uint64)
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
+    def _match(self, left: U8, right: U8) -> MatchResult:
         check_pair(left, right, self.config, partial=True)
-        disparity_px = disparity_buffer(out, left.shape)
+        disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
         lead = np.empty(left.shape, np.float32)
         if self._census.shape[1:] != left.shape:

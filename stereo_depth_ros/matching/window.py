@@ -13,8 +13,9 @@ import numpy.typing as npt
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.errors import ConfigError
 from stereo_depth_ros.matching.disparity_selection import I64, finish, median_filter, select_row
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search, disparity_buffer
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.refinement import I16
+from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.parallel import READ_ONLY_U8, compiled, run_bands
 from stereo_depth_ros.types import F32, U8, MatchResult
 
@@ -27,7 +28,7 @@ SAD, SSD, ZSAD, ZSSD, NCC, ZNCC = range(6)
 NO_BOUND = 255  # the largest difference of grey values there is
 
 
-class WindowMatcher:
+class WindowMatcher(SerialMatcher):
     """Area correlation over a square window of odd side ``correlation_window_size`` (Scharstein and Szeliski 2002).
 
     Least ``window_cost`` of the left window I and the right window J (means over the window are Im, Jm; n pixels):
@@ -57,13 +58,11 @@ class WindowMatcher:
                 f"max_difference = {config.max_difference} bounds sad, not {config.window_cost}: "
                 "take window_cost sad, or max_difference 0"
             )
-        self.config = config
+        super().__init__(config)
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
+    def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
         check_pair(left, right, config)
-        disparity_px = disparity_buffer(out, left.shape)
         fixed = np.zeros(left.shape, np.int16)
         reasons = np.empty(left.shape, np.uint8)
         side = config.correlation_window_size
@@ -75,7 +74,7 @@ class WindowMatcher:
         # Every band begins by summing a whole window height.
         run_bands(_match_rows, left.shape[0], *values, min_rows=max(64, 2 * side))
         fixed = median_filter(fixed, reasons, side)
-        return finish(fixed, reasons, config, self.step_px, disparity_px)
+        return finish(fixed, reasons, config, self.step_px)
 
 
 @compiled()

@@ -1,0 +1,47 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What all matchers have in common: calls take turns, and results share no memory with the buffers of the matcher."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from abc import ABC, abstractmethod
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.matching.protocol import check_buffer, check_images
+from stereo_depth_ros.types import F32, U8, MatchResult
+
+__all__ = ["SerialMatcher"]
+
+
+class SerialMatcher(ABC):
+    """A matcher for any number of threads, whose method itself runs in one of them at a time."""
+
+    name: str
+    step_px: float
+
+    def __init__(self, config: MatchingConfig) -> None:
+        self.config = config
+        self._turn = threading.Lock()
+
+    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
+        """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
+        check_images(left, right)
+        if out is not None:
+            check_buffer(out, left.shape)
+        with self._turn:
+            result = self._match(left, right)
+        if out is None:
+            return result
+        # The confidence still to be computed reads the disparities of the method, not what becomes of the caller's.
+        out[:] = result.disparity_px
+        return dataclasses.replace(result, disparity_px=out)
+
+    @abstractmethod
+    def _match(self, left: U8, right: U8) -> MatchResult:
+        """The result in new arrays; buffers may be kept in ``self`` between calls.
+
+        Args:
+            left, right: uint8 (H, W), of one size; whether the search fits is for the method to check.
+        """
