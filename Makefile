@@ -32,7 +32,7 @@ bench: venv ## measure the graph beside the bare kernels
 	$(BIN)/python benchmarks/graph.py
 
 config: venv ## write config/stereo_depth.yaml and the README's tables anew
-	$(BIN)/python -c "from stereo_depth_ros.documentation import write_files; write_files('.')"
+	$(BIN)/python tools/documentation.py
 
 clean: ## remove environments and everything built
 	rm -rf .venv* build install log out .mypy_cache .ruff_cache .pytest_cache *.egg-info

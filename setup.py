@@ -15,7 +15,7 @@ NODES = (
     "depth_node",
     "stereo_depth_node",
     "feature_node",
-    "health_node",
+    "calibration_monitor",
     "calibration_node",
     "replay_node",
 )
@@ -70,6 +70,7 @@ setup(
         "console_scripts": [
             "stereo-depth = stereo_depth_ros.cli.main:main",
             *(f"{node} = stereo_depth_ros.nodes.{node}:main" for node in NODES),
+            "health_node = stereo_depth_ros.nodes.calibration_monitor:main",  # its earlier name
         ]
     },
 )

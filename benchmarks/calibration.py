@@ -27,6 +27,11 @@ from stereo_depth_ros.calibration.misalignment import Misalignment, Misalignment
 from stereo_depth_ros.calibration.row_error import match_rows
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import find_views
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64, U8, StereoPair
+from stereo_depth_ros.datasets.euroc import EurocDataset
+from stereo_depth_ros.datasets.kitti import KittiDataset
+from stereo_depth_ros.datasets.stereo_images import open_pictures
 from stereo_depth_ros.geometry.calibrated_rectification import METHODS, rectify_calibrated
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.epipolar import (
@@ -39,13 +44,8 @@ from stereo_depth_ros.geometry.essential import estimate_essential
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
 from stereo_depth_ros.geometry.relative_pose import RelativePose
 from stereo_depth_ros.geometry.uncalibrated_rectification import rectify_uncalibrated, shape_under
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.io.datasets.kitti import KittiDataset
-from stereo_depth_ros.io.stereo_pictures import open_pictures
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64, U8, StereoPair
+from stereo_depth_ros.stages.rectification import Rectifier
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-12)

@@ -25,16 +25,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.core.types import U8, StereoPair
 from stereo_depth_ros.matching import MATCHERS, create_matcher
-from stereo_depth_ros.matching.refinement import I16
-from stereo_depth_ros.matching.semi_global_block_matching import penalties
-from stereo_depth_ros.transport import prepare_process
-from stereo_depth_ros.types import U8, StereoPair
+from stereo_depth_ros.matching.filters.speckle_filter import I16
+from stereo_depth_ros.matching.sgm.semi_global_block_matching import penalties
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.nodes.transport import prepare_process
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 os.environ.setdefault("ROS_DOMAIN_ID", "93")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

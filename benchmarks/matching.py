@@ -28,13 +28,14 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.bands import core_count
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.evaluation.evaluator import search_range
 from stereo_depth_ros.evaluation.metrics import disparity_errors
 from stereo_depth_ros.evaluation.scenes import Scene, find_scenes
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.matching.semi_global_matching import SemiGlobalMatcher
-from stereo_depth_ros.parallel import compiled, core_count
-from stereo_depth_ros.types import F32, U8
+from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
 
 Call: TypeAlias = Callable[[U8, U8], npt.NDArray[Any]]  # float32 px with NaN, or OpenCV's int16 in 1/16 px
 Row: TypeAlias = dict[str, Any]

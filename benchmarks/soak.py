@@ -14,7 +14,7 @@ from pathlib import Path
 import rclpy
 from graph import Harness, graph_processes
 
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 REPORTS = 20
 

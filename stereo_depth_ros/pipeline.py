@@ -11,14 +11,15 @@ from functools import cached_property
 import numpy as np
 
 from stereo_depth_ros.config import PipelineConfig
-from stereo_depth_ros.depth import Triangulation, depth_from_disparity, depth_sigma
-from stereo_depth_ros.disparity import DisparityStage
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.point_cloud import CloudLayout, pack_points
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F32, U8, MatchResult, RectifiedPair, StereoPair
-from stereo_depth_ros.uncalibrated_rig import UncalibratedRig
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.triangulation import Triangulation
+from stereo_depth_ros.core.types import F32, U8, MatchResult, RectifiedPair, StereoPair
+from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
+from stereo_depth_ros.stages.depth import depth_from_disparity, depth_sigma
+from stereo_depth_ros.stages.disparity import DisparityStage
+from stereo_depth_ros.stages.point_cloud import CloudLayout, pack_points
+from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["StereoPipeline", "StereoResult"]
 

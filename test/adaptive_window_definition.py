@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from stereo_depth_ros.matching import window_growth
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.matching.window import adaptive_window_kernel as window_growth
 
 __all__ = ["Estimate", "grown_window", "warped_pair"]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stereo_depth_ros.types import F32, U8
+from stereo_depth_ros.core.types import F32, U8
 
 WIDTH, HEIGHT = 170, 96
 FAR_PX, NEAR_PX = 6, 20

@@ -27,11 +27,11 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
 
-from stereo_depth_ros.io.camera_info_message import camera_info_message  # noqa: E402
-from stereo_depth_ros.io.image_message import image_message  # noqa: E402
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence  # noqa: E402
-from stereo_depth_ros.nodes.ros_types import RclpyTypes  # noqa: E402
-from stereo_depth_ros.types import U8  # noqa: E402
+from stereo_depth_ros.core.types import U8  # noqa: E402
+from stereo_depth_ros.messages.camera_info import camera_info_message  # noqa: E402
+from stereo_depth_ros.messages.image import image_message  # noqa: E402
+from stereo_depth_ros.nodes.message_types import RclpyTypes  # noqa: E402
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence  # noqa: E402
 
 __all__ = ["NS_PER_S", "Graph", "NodeProcess", "StereoCamera", "image_pixels", "parameter_value", "ros_arguments"]
 

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.types import F32, U8, MatchResult
 
 __all__ = ["Matched", "Scene", "bad", "matched", "part", "scene"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from stereo_depth_ros.calibration.board_views import BoardView
 from stereo_depth_ros.calibration.boards import Corners
 from stereo_depth_ros.calibration.projection import camera_matrix, project
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.core.types import F64, U8
 
 SIZE = (400, 300)
 SQUARE_M = 0.03

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns, with_stamp
-from stereo_depth_ros.io.image_message import compressed_message, image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.io.synthetic.bag import write_synthetic_bag
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp
+from stereo_depth_ros.messages.image import compressed_message, image_message
+from stereo_depth_ros.synthetic.bag import write_synthetic_bag
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 WIDTH, HEIGHT = 200, 150
 PARAMETERS = {"disparity_range": 32, "correlation_window_size": 9, "speckle_size": 20}

@@ -13,11 +13,13 @@ import pytest
 from adaptive_window_definition import grown_window, warped_pair
 from middlebury2001 import bad, matched, part, scene
 
-from stereo_depth_ros import parallel
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import ConfigError, ImageError
-from stereo_depth_ros.matching import adaptive_window, create_matcher, window_growth
-from stereo_depth_ros.types import F32, F64, MatchResult, Reason
+from stereo_depth_ros.core import bands as parallel
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.types import F32, F64, MatchResult, Reason
+from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.matching.window import adaptive_window
+from stereo_depth_ros.matching.window import adaptive_window_kernel as window_growth
 
 UNCHECKED: dict[str, Any] = {
     "num_disparities": 32,

@@ -16,17 +16,17 @@ import pytest
 from graph_harness import ENVIRONMENT
 from rosbags.highlevel import AnyReader
 
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.calibration.row_error import match_rows
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.datasets.kitti import KittiDataset
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.datasets.kitti import KittiDataset
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.nodes.replay.live import replay_through_graph
 from stereo_depth_ros.replay.options import ReplayOptions
-from stereo_depth_ros.types import F64, U8
 
 pytestmark = [pytest.mark.graph, pytest.mark.real_data]
 

@@ -11,8 +11,8 @@ import pytest
 from stereo_depth_ros.calibration.auto_correction import MIN_FRAMES, STALE_PAIRS, AutoCorrection
 from stereo_depth_ros.calibration.misalignment import CorrectionLimits
 from stereo_depth_ros.calibration.row_error import RowMatches
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64
 
 K_LEFT = np.array([[500.0, 0, 322], [0, 505, 207], [0, 0, 1]])
 K_RIGHT = np.array([[520.0, 0, 310], [0, 517, 222], [0, 0, 1]])

@@ -11,13 +11,14 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.io.bag_info import BagInfo, ImageInfo, TopicSummary, inspect_bag
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes, make_header
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.bags.info import BagInfo, ImageInfo, TopicSummary, inspect_bag
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.messages.types import make_header
 
 TYPES = RosbagsTypes()
 WIDTH, HEIGHT = 44, 30

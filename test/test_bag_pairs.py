@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from stereo_bags import cut, later, sequence, write_odd_bag, write_truth_bag
 
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import BagPairs, BagSelection
+from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.errors import BagError, ConfigError, MessageError, TopicError
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns, with_stamp
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.replay.bag_pairs import BagPairs, BagSelection
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.core.errors import BagError, ConfigError, MessageError, TopicError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp
+from stereo_depth_ros.messages.image import image_message
 
 EXACT = PairingConfig()
 

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.disparity_message import disparity_message
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.replay.bag_preview import save_bag_preview
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.view.preview import preview
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.disparity import disparity_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.plots.bag_preview import save_bag_preview
+from stereo_depth_ros.plots.preview import preview
 
 SIZE = (96, 60)
 RIG = StereoRig.from_rectified(100.0, 101.0, 50.0, 47.0, 31.0, 0.2, SIZE)

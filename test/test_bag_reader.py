@@ -16,11 +16,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from stereo_depth_ros.errors import BagError, MessageError
-from stereo_depth_ros.io.bag_reader import BagReader, TopicInfo
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagReader, TopicInfo
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.errors import BagError, MessageError
+from stereo_depth_ros.messages.image import image_message
 
 TYPES = RosbagsTypes()
 IMAGE = "sensor_msgs/msg/Image"

@@ -11,10 +11,10 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
-from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.messages.image import image_message
 
 TYPES = RosbagsTypes()
 IMAGE = "sensor_msgs/msg/Image"

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.matching import belief_propagation
-from stereo_depth_ros.matching.belief_propagation import BeliefPropagationMatcher
-from stereo_depth_ros.matching.energy import StereoModel, energy
+from stereo_depth_ros.matching.global_methods import belief_propagation
+from stereo_depth_ros.matching.global_methods.belief_propagation import BeliefPropagationMatcher
+from stereo_depth_ros.matching.global_methods.energy import StereoModel, energy
 
 
 def random_model(seed: int, height: int, width: int, count: int) -> StereoModel:

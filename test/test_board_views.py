@@ -14,9 +14,9 @@ from rendered_boards import chessboard_points
 from stereo_depth_ros.calibration.board_views import BoardView, Coverage, Placement, ViewCollector, placement
 from stereo_depth_ros.calibration.boards import Board, Corners
 from stereo_depth_ros.calibration.view_finder import find_views
-from stereo_depth_ros.errors import CalibrationError, ConfigError
-from stereo_depth_ros.io.stereo_pictures import PicturePair
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.datasets.stereo_images import PicturePair
 
 SIZE = (640, 400)
 BOARD_M = chessboard_points(5, 4, 1.0)

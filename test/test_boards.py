@@ -25,8 +25,8 @@ from rendered_boards import (
 
 from stereo_depth_ros.calibration.boards import Board, Corners, create_board, edge_width_px
 from stereo_depth_ros.calibration.projection import project
-from stereo_depth_ros.errors import ConfigError
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.types import F64, U8
 
 needs_detectors = pytest.mark.skipif(
     not hasattr(getattr(cv2, "aruco", None), "CharucoDetector"), reason="OpenCV before 4.7 has no marker detectors"

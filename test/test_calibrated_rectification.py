@@ -11,8 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.camera_model import CameraModel
-from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64, StereoPair
+from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.geometry.calibrated_rectification import (
     METHODS,
     Area,
@@ -23,10 +26,7 @@ from stereo_depth_ros.geometry.calibrated_rectification import (
 from stereo_depth_ros.geometry.correspondences import match_features
 from stereo_depth_ros.geometry.rays import camera_rays
 from stereo_depth_ros.geometry.relative_pose import RelativePose
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64, StereoPair
+from stereo_depth_ros.stages.rectification import Rectifier
 
 SIZE = (620, 460)
 POSE = RelativePose(cv2.Rodrigues(np.array([0.03, -0.08, 0.05]))[0], np.array([-0.31, 0.04, 0.03]))

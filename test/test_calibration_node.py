@@ -16,13 +16,13 @@ from sensor_msgs.msg import Image
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
-from stereo_depth_ros.errors import ConfigError
-from stereo_depth_ros.io.image_message import image_message
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.nodes import calibration_node
 from stereo_depth_ros.nodes.calibration_node import CalibrationNode
-from stereo_depth_ros.nodes.ros_types import RclpyTypes
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import U8
+from stereo_depth_ros.nodes.message_types import RclpyTypes
 
 pytestmark = pytest.mark.graph
 

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from stereo_depth_ros.matching.census import CENSUS_BITS, NEUTRAL_COST, U64, census_rows, cost_rows
-from stereo_depth_ros.types import U8
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.matching.costs.census import CENSUS_BITS, NEUTRAL_COST, U64, census_rows, cost_rows
 
 I64 = npt.NDArray[np.int64]
 

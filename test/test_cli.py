@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from stereo_bags import PARAMETERS, messages_of, write_odd_bag, write_truth_bag
 
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.calibration_yaml import write_camera
-from stereo_depth_ros.replay import graph_runner
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.replay import graph_processes as graph_runner
 
 Run = Callable[..., tuple[int, str, str]]
 PARAM_ARGUMENTS = [text for name, value in PARAMETERS.items() for text in ("--param", f"{name}:={value}")]

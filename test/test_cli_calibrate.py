@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from rendered_boards import FISHEYE, SQUARE_M, chessboard_photographs
 
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import U8
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.messages.image import image_message
 
 Run = Callable[..., tuple[int, str, str]]
 BOARD = ("--board", "chessboard", "--size", "7x5", "--square", SQUARE_M, "--model", "equidistant")

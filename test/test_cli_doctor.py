@@ -15,14 +15,15 @@ import numpy as np
 import pytest
 from stereo_bags import cut
 
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.camera_info_message import camera_from_info
-from stereo_depth_ros.io.image_message import compressed_message, image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes, stamp_ns
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.core.camera_info import camera_from_info
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.image import compressed_message, image_message
+from stereo_depth_ros.messages.types import stamp_ns
+from stereo_depth_ros.stages.rectification import Rectifier
 
 SAMPLE = Path(__file__).resolve().parents[1] / "bags" / "synthetic_room.mcap"
 TYPES = RosbagsTypes()

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.io.calibration_yaml import write_camera
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.stages.rectification import Rectifier
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 Run = Callable[..., tuple[int, str, str]]
 SCENE = SyntheticSequence(1, 480, 360)

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.io.calibration_yaml import write_camera
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.view.depth_error_picture import depth_error_picture
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.plots.depth_error import depth_error_picture
 
 Run = Callable[..., tuple[int, str, str]]
 RIG = StereoRig.from_rectified(400.0, 420.0, 330.0, 318.0, 205.0, 0.125, (640, 430))

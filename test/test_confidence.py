@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from stereo_depth_ros.disparity import DisparityStage
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.matching import MATCHERS, create_matcher
-from stereo_depth_ros.matching.agreement import RADIUS, agreement
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.matching.local_consistency import RADIUS, agreement
+from stereo_depth_ros.stages.disparity import DisparityStage
+from stereo_depth_ros.stages.rectification import Rectifier
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 SEQUENCE = SyntheticSequence(frames=2, width=160, height=120)
 NAMES = [name for name in MATCHERS if name != "onnx"]  # that one's confidence: see test_onnx.py

@@ -15,7 +15,7 @@ from stereo_depth_ros.config import (
     parameter_infos,
     replace_checked,
 )
-from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.core.errors import ConfigError
 
 # Name, default, low, high, step: as stereo_image_proc of Jazzy declares them.
 CONTRACT = {

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from two_views import K_LEFT, SIZE
 
-from stereo_depth_ros.camera_model import CameraModel
-from stereo_depth_ros.errors import ImageError
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features, undistort_points
-from stereo_depth_ros.types import F64, U8
 
 COEFFICIENTS = {
     "plumb_bob": [-0.28, 0.07, 0.0006, -0.0009, 0.01],

@@ -10,20 +10,21 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.errors import BagError, CalibrationError, ConfigError
-from stereo_depth_ros.io.bag_info import inspect_bag
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.calibration_yaml import write_camera
-from stereo_depth_ros.io.datasets import StereoDataset, read_image, read_picture
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.io.datasets.images import ImagesDataset
-from stereo_depth_ros.io.datasets.kitti import KittiDataset, read_calibration, rig_from_calibration
-from stereo_depth_ros.io.datasets.middlebury import MiddleburyDataset
-from stereo_depth_ros.io.datasets.to_bag import convert_dataset
-from stereo_depth_ros.io.disparity_message import published_disparity
-from stereo_depth_ros.io.image_message import decode
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F32
+from stereo_depth_ros.bags.info import inspect_bag
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.errors import BagError, CalibrationError, ConfigError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F32
+from stereo_depth_ros.datasets.dataset import StereoDataset
+from stereo_depth_ros.datasets.euroc import EurocDataset
+from stereo_depth_ros.datasets.image_files import read_image, read_picture
+from stereo_depth_ros.datasets.images import ImagesDataset
+from stereo_depth_ros.datasets.kitti import KittiDataset, read_calibration, rig_from_calibration
+from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
+from stereo_depth_ros.datasets.to_bag import convert_dataset
+from stereo_depth_ros.messages.disparity import published_disparity
+from stereo_depth_ros.messages.image import decode
 
 WIDTH, HEIGHT = 44, 30
 

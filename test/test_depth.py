@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.depth import Triangulation, depth_from_disparity, depth_sigma, millimetres, reject_behind
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import Reason
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.triangulation import Triangulation
+from stereo_depth_ros.core.types import Reason
+from stereo_depth_ros.stages.depth import depth_from_disparity, depth_sigma, millimetres, reject_behind
 
 WIDTH, HEIGHT = 37, 23
 

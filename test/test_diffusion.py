@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from middlebury2001 import bad, matched, scene
 
-from stereo_depth_ros import parallel
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import ConfigError, ImageError
-from stereo_depth_ros.matching import create_matcher, diffusion
-from stereo_depth_ros.matching.diffusion import DiffusionMatcher
-from stereo_depth_ros.types import F64, U8, MatchResult, Reason
+from stereo_depth_ros.core import bands as parallel
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.types import F64, U8, MatchResult, Reason
+from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.matching.global_methods import diffusion
+from stereo_depth_ros.matching.global_methods.diffusion import DiffusionMatcher
 
 UNCHECKED: dict[str, Any] = {
     "num_disparities": 32,

@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereo_depth_ros import parallel
-from stereo_depth_ros.matching.disparity_filter import DisparityFilter
-from stereo_depth_ros.types import F32
+from stereo_depth_ros.core import bands as parallel
+from stereo_depth_ros.core.types import F32
+from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 
 NAN = np.nan
 

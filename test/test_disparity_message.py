@@ -10,16 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stereo_depth_ros.depth import Triangulation, depth_from_disparity
-from stereo_depth_ros.errors import MessageError
-from stereo_depth_ros.io.disparity_message import (
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.core.errors import MessageError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.triangulation import Triangulation
+from stereo_depth_ros.messages.disparity import (
     disparity_message,
     published_disparity,
     published_triangulation,
     valid_window,
 )
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.stages.depth import depth_from_disparity
 
 WIDTH, HEIGHT = 53, 31
 TYPES = RosbagsTypes()

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.disparity import DisparityStage
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import U8, Reason
 from stereo_depth_ros.matching import matcher_from_config
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import U8, Reason
+from stereo_depth_ros.stages.disparity import DisparityStage
 
 WIDTH, HEIGHT = 200, 120
 HALF_WINDOW = 3

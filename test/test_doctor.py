@@ -11,16 +11,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from doctor_set_ups import Change, all_of, as_is, both, entries, faults, put, scaled, times, with_infos
+from doctor_setups import Change, all_of, as_is, both, entries, faults, put, scaled, times, with_infos
 
-from stereo_depth_ros.calibration.checks.finding import Level
-from stereo_depth_ros.calibration.diagnosis import StereoSetUp
-from stereo_depth_ros.calibration.doctor import diagnose
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.replay.bag_set_up import set_up_of_bag
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import StereoPair
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.diagnosis.bag_survey import set_up_of_bag
+from stereo_depth_ros.diagnosis.doctor import diagnose
+from stereo_depth_ros.diagnosis.finding import Level
+from stereo_depth_ros.diagnosis.survey import StereoSetUp
+from stereo_depth_ros.stages.rectification import Rectifier
 
 SAMPLE = Path(__file__).resolve().parents[1] / "bags" / "synthetic_room.mcap"
 

@@ -10,12 +10,12 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 
-from stereo_depth_ros.calibration.checks.disparities import check_depths
-from stereo_depth_ros.calibration.checks.finding import Finding, Level
-from stereo_depth_ros.calibration.checks.pictures import check_exposure, check_two_eyes
-from stereo_depth_ros.calibration.checks.rows import RowMatching, check_rows
-from stereo_depth_ros.calibration.checks.streams import check_streams
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.diagnosis.checks.disparities import check_depths
+from stereo_depth_ros.diagnosis.checks.images import check_exposure, check_two_eyes
+from stereo_depth_ros.diagnosis.checks.rows import RowMatching, check_rows
+from stereo_depth_ros.diagnosis.checks.streams import check_streams
+from stereo_depth_ros.diagnosis.finding import Finding, Level
 
 F64: TypeAlias = Any
 

@@ -10,19 +10,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from doctor_set_ups import all_of, as_is, faults, times, with_infos
+from doctor_setups import all_of, as_is, faults, times, with_infos
 
-from stereo_depth_ros.calibration.checks.disparities import check_eyes
-from stereo_depth_ros.calibration.checks.finding import Level
-from stereo_depth_ros.calibration.checks.rows import check_raw_rows, check_rows, match_pictures
-from stereo_depth_ros.calibration.diagnosis import EyeRecord, StereoSetUp
-from stereo_depth_ros.calibration.doctor import diagnose
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.io.datasets.kitti import KittiDataset
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import StereoPair
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.datasets.euroc import EurocDataset
+from stereo_depth_ros.datasets.kitti import KittiDataset
+from stereo_depth_ros.diagnosis.checks.disparities import check_eyes
+from stereo_depth_ros.diagnosis.checks.rows import check_raw_rows, check_rows, match_pictures
+from stereo_depth_ros.diagnosis.doctor import diagnose
+from stereo_depth_ros.diagnosis.finding import Level
+from stereo_depth_ros.diagnosis.survey import EyeRecord, StereoSetUp
+from stereo_depth_ros.messages.camera_info import camera_info_message
 
 
 def of_dataset(dataset: EurocDataset | KittiDataset, pairs: int) -> StereoSetUp:

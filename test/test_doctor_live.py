@@ -16,12 +16,12 @@ import pytest
 from graph_harness import NS_PER_S, Graph, StereoCamera
 from sensor_msgs.msg import Image
 
-from stereo_depth_ros.calibration.checks.finding import Finding, Level
-from stereo_depth_ros.calibration.doctor import diagnose
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.errors import ConfigError, TopicError
-from stereo_depth_ros.io.image_message import compressed_message
-from stereo_depth_ros.nodes.doctor_probe import camera_topics, probe_graph
+from stereo_depth_ros.core.errors import ConfigError, TopicError
+from stereo_depth_ros.diagnosis.doctor import diagnose
+from stereo_depth_ros.diagnosis.finding import Finding, Level
+from stereo_depth_ros.messages.image import compressed_message
+from stereo_depth_ros.nodes.graph_survey import camera_topics, probe_graph
 
 pytestmark = pytest.mark.graph
 

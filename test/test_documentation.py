@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import documentation
 import pytest
+from documentation import render_files, render_table, render_yaml, replace_section, write_files
 from ruamel.yaml import YAML
 
-from stereo_depth_ros import documentation
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
-from stereo_depth_ros.documentation import render_files, render_table, render_yaml, replace_section, write_files
-from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.core.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[1]
 

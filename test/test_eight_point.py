@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from two_views import F_TRUE, K_LEFT, K_RIGHT, POSE, plane_views, views
 
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.eight_point import eight_point, enforce_rank_2, unit_scale
 from stereo_depth_ros.geometry.epipolar import camera_coordinates, epipoles, sampson_distance
 from stereo_depth_ros.geometry.relative_pose import RelativePose
 from stereo_depth_ros.geometry.sampson_refinement import refine_fundamental
-from stereo_depth_ros.types import F64
 
 CLEAN = views(300, seed=99)
 

@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.matching.costs import OUTSIDE, birchfield_tomasi
-from stereo_depth_ros.matching.energy import StereoModel, energy, neighbour_weights, searched_columns, stereo_model
+from stereo_depth_ros.matching.costs.birchfield_tomasi import OUTSIDE, birchfield_tomasi
+from stereo_depth_ros.matching.global_methods.energy import (
+    StereoModel,
+    energy,
+    neighbour_weights,
+    searched_columns,
+    stereo_model,
+)
 
 
 def test_energy_of_six_pixels_by_hand() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from two_views import F_TRUE, K_LEFT, K_RIGHT, POSE, project, views
 
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.epipolar import (
     camera_coordinates,
     epipolar_lines,
@@ -18,7 +19,6 @@ from stereo_depth_ros.geometry.epipolar import (
     sampson_distance,
     symmetric_epipolar_distance,
 )
-from stereo_depth_ros.types import F64
 
 SEEN = views(60)
 

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from two_views import F_TRUE, K_LEFT, K_RIGHT, POSE, SIZE, views
 
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.geometry.correspondences import match_features
 from stereo_depth_ros.geometry.eight_point import eight_point, unit_scale
 from stereo_depth_ros.geometry.epipolar import camera_coordinates, fundamental_from_essential, sampson_distance
@@ -23,8 +25,6 @@ from stereo_depth_ros.geometry.essential import (
 )
 from stereo_depth_ros.geometry.relative_pose import RelativePose, cross_matrix
 from stereo_depth_ros.geometry.sampson_refinement import refine_essential
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.types import F64
 
 
 def rays(count: int, seed: int = 0, noise_px: float = 0.0) -> tuple[F64, F64]:

@@ -18,9 +18,9 @@ from evaluation_scenes import pair, write, write_kitti, write_scene
 from stereo_bags import write_truth_bag
 
 from stereo_depth_ros.cli import main as cli
+from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.evaluation import evaluator
 from stereo_depth_ros.matching import Matcher, create_matcher
-from stereo_depth_ros.types import F32, U8, MatchResult
 
 Run = Callable[..., tuple[int, str, str]]
 KEYS = {"scene", "matcher", "density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg", "ms"}

@@ -12,11 +12,11 @@ import pytest
 from evaluation_scenes import NEAR_PX, pair
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import ConfigError, ImageError
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.evaluation import evaluator
 from stereo_depth_ros.evaluation.evaluator import evaluate, search_range
 from stereo_depth_ros.evaluation.scenes import Scene, make_scene
-from stereo_depth_ros.types import F32, U8, MatchResult, Reason
 
 NAN = np.nan
 TRUTH = np.array([[10, 20, 30, 40, 50], [12, 22, 32, NAN, 52]], np.float32)

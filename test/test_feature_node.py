@@ -15,13 +15,13 @@ from graph_harness import NS_PER_S, Graph, NodeProcess, StereoCamera, colored, r
 from sensor_msgs.msg import PointCloud2
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import TopicError
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.matching.features import FeatureMatcher
+from stereo_depth_ros.core.errors import TopicError
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.matching.features.matcher import FeatureMatcher
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.nodes.feature_node import FeatureNode
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.types import U8
+from stereo_depth_ros.stages.rectification import Rectifier
 
 pytestmark = pytest.mark.graph
 

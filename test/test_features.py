@@ -14,11 +14,11 @@ import pytest
 from test_line_segments import edge_image
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.depth import Triangulation
-from stereo_depth_ros.errors import ConfigError, ImageError
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.triangulation import Triangulation
+from stereo_depth_ros.core.types import F64, U8, MatchResult, Reason
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.matching.features import FeatureMatcher, FeatureMatches
-from stereo_depth_ros.types import F64, U8, MatchResult, Reason
+from stereo_depth_ros.matching.features.matcher import FeatureMatcher, FeatureMatches
 
 KINDS = ("sift", "orb", "lines")
 HEIGHT, WIDTH = 150, 240

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.camera_model import CameraModel
+from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.geometry.field_of_view import field_of_view
 
 K = np.array([[300.0, 0, 290.0], [0, 320.0, 260.0], [0, 0, 1]])

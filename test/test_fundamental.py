@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from two_views import SIZE, Views, plane_views, views
 
-from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.geometry.correspondences import match_features
 from stereo_depth_ros.geometry.epipolar import (
     epipoles,
@@ -20,7 +21,6 @@ from stereo_depth_ros.geometry.epipolar import (
 )
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
 from stereo_depth_ros.geometry.relative_pose import RelativePose
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
 
 METHODS = ["magsac", "ransac"]
 CLEAN = views(300, seed=99)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.matching.energy import StereoModel, energy
-from stereo_depth_ros.matching.graph_cut import GraphCutMatcher
+from stereo_depth_ros.matching.global_methods.energy import StereoModel, energy
+from stereo_depth_ros.matching.global_methods.graph_cut import GraphCutMatcher
 
 
 @pytest.fixture(autouse=True)

@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereo_depth_ros import parallel
-from stereo_depth_ros.matching.hole_filling import fill_holes
-from stereo_depth_ros.types import F32, U8, Reason
+from stereo_depth_ros.core import bands as parallel
+from stereo_depth_ros.core.types import F32, U8, Reason
+from stereo_depth_ros.matching.filters.hole_filling import fill_holes
 
 NAN = np.nan
 

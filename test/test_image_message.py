@@ -13,17 +13,11 @@ import numpy as np
 import pytest
 from test_message_types import RclpyTypes, assert_equal_bytes
 
-from stereo_depth_ros.errors import ConfigError, ImageError, MessageError
-from stereo_depth_ros.io.image_message import (
-    compressed_message,
-    decode,
-    decode_compressed,
-    decode_image,
-    image_message,
-    to_gray,
-)
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.types import U8, Frame
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.core.errors import ConfigError, ImageError, MessageError
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.types import U8, Frame
+from stereo_depth_ros.messages.image import compressed_message, decode, decode_compressed, decode_image, image_message
 
 STAMP_NS = 1_700_000_000_000_000_017
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=1_700_000_000, nanosec=17), frame_id="left_optical")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.io.image_pairs import find_image_pairs
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.datasets.image_pairs import find_image_pairs
 
 
 def touch(folder: Path, *names: str) -> Path:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.matching import line_segments
-from stereo_depth_ros.matching.line_segments import LineSegments, common_rows, detect_segments, line_similarity
-from stereo_depth_ros.types import U8
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.matching.features import line_segments
+from stereo_depth_ros.matching.features.line_segments import LineSegments, common_rows, detect_segments, line_similarity
 
 OVERSAMPLING = 8
 

@@ -13,10 +13,10 @@ from rendered_boards import FISHEYE, SIZE, SQUARE_M, chessboard_photographs
 
 from stereo_depth_ros.calibration.boards import create_board
 from stereo_depth_ros.calibration.live_calibration import GOOD_VIEWS, LiveCalibration, Look
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.io.stereo_pictures import open_pictures
-from stereo_depth_ros.types import U8
-from stereo_depth_ros.view.live_picture import live_picture
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.datasets.stereo_images import open_pictures
+from stereo_depth_ros.plots.operator_overlay import live_picture
 
 BOARD = create_board("chessboard", (7, 5), SQUARE_M)
 EMPTY = np.full(SIZE[::-1], 80, np.uint8)

@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros import parallel
 from stereo_depth_ros.config import MatchingConfig, replace_checked
-from stereo_depth_ros.errors import ConfigError, ImageError
+from stereo_depth_ros.core import bands as parallel
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.types import U8, MatchResult, Reason
 from stereo_depth_ros.evaluation.metrics import disparity_errors
 from stereo_depth_ros.matching import MATCHERS, create_matcher, matcher_from_config
-from stereo_depth_ros.matching.semi_global_block_matching import penalties
-from stereo_depth_ros.types import U8, MatchResult, Reason
+from stereo_depth_ros.matching.sgm.semi_global_block_matching import penalties
 
 
 def textured_pair(height: int, width: int, low: int, high: int, seed: int = 0) -> tuple[U8, U8]:

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stereo_depth_ros.errors import MessageError
-from stereo_depth_ros.io.message_types import MessageTypes, RosbagsTypes, make_header, stamp_ns
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.core.errors import MessageError
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.messages.types import MessageTypes, make_header, stamp_ns
 
 
 def _keeping_data(message_class: Any) -> Callable[..., Any]:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from stereo_depth_ros.errors import ImageError
+from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.evaluation.metrics import depth_errors, disparity_errors
 
 NAN = np.nan

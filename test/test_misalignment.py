@@ -19,12 +19,12 @@ from stereo_depth_ros.calibration.misalignment import (
 )
 from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.io.datasets.kitti import KittiDataset
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.datasets.kitti import KittiDataset
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.stages.rectification import Rectifier
 
 RIG = StereoRig.from_rectified(410.0, 420.0, 330.0, 318.0, 205.0, 0.12, (640, 430))
 NAMES = ("pitch", "yaw", "roll", "scale")

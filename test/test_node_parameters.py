@@ -17,7 +17,7 @@ from rcl_interfaces.msg import Parameter, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
 from stereo_msgs.msg import DisparityImage
 
-from stereo_depth_ros.errors import ConfigError, TopicError
+from stereo_depth_ros.core.errors import ConfigError, TopicError
 from stereo_depth_ros.nodes.depth_node import DepthNode
 from stereo_depth_ros.nodes.disparity_node import DisparityNode
 from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode

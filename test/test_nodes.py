@@ -15,13 +15,13 @@ from graph_harness import NS_PER_S, Graph, NodeProcess, StereoCamera, colored, i
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
-from stereo_depth_ros.io.image_message import compressed_message
+from stereo_depth_ros.messages.image import compressed_message
 from stereo_depth_ros.nodes.depth_node import DepthNode
 from stereo_depth_ros.nodes.disparity_node import DisparityNode
 from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
 from stereo_depth_ros.nodes.rectify_node import RectifyNode
 from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
-from stereo_depth_ros.rectification import Rectifier
+from stereo_depth_ros.stages.rectification import Rectifier
 
 pytestmark = pytest.mark.graph
 

@@ -23,7 +23,7 @@ from stereo_depth_ros.nodes.disparity_node import DisparityNode
 from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
 from stereo_depth_ros.nodes.rectify_node import RectifyNode
 from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
-from stereo_depth_ros.rectification import Rectifier
+from stereo_depth_ros.stages.rectification import Rectifier
 
 pytestmark = pytest.mark.graph
 

@@ -11,7 +11,7 @@ import pytest
 
 from stereo_depth_ros.evaluation.occlusion import visible_pixels
 from stereo_depth_ros.evaluation.scenes import find_scenes
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 
 def visible(*rows: list[float]) -> list[list[int]]:

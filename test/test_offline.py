@@ -11,16 +11,16 @@ import pytest
 from mcap.reader import make_reader
 from stereo_bags import HEIGHT, PARAMETERS, WIDTH, median_relative_depth_error, messages_of, sequence, write_truth_bag
 
-from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.config.values import parse_assignments, pipeline_config
+from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.matching import MATCHERS
-from stereo_depth_ros.parameter_values import parse_assignments, pipeline_config
-from stereo_depth_ros.replay.bag_pairs import BagSelection
-from stereo_depth_ros.replay.offline import process_bag
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.offline.engine import process_bag
 
 FRAMES = 3
 TOPICS = ("/left/image_rect", "/left/image_rect_color", "/right/image_rect", "/disparity", "/depth/image_rect",

@@ -19,10 +19,10 @@ pytest.importorskip("onnxruntime", reason="runs its networks with onnxruntime")
 from onnx import TensorProto, helper  # noqa: E402
 
 from stereo_depth_ros.config import MatchingConfig  # noqa: E402
-from stereo_depth_ros.errors import ConfigError, ImageError  # noqa: E402
+from stereo_depth_ros.core.errors import ConfigError, ImageError  # noqa: E402
+from stereo_depth_ros.core.types import U8, MatchResult, Reason  # noqa: E402
 from stereo_depth_ros.matching import create_matcher  # noqa: E402
 from stereo_depth_ros.matching.onnx import OnnxMatcher  # noqa: E402
-from stereo_depth_ros.types import U8, MatchResult, Reason  # noqa: E402
 
 SHIFTS = 24
 FREE = (1, 1, "height", "width")

@@ -30,13 +30,13 @@ OWN_SETTINGS = (
 
 CAMERA = """
 import sys, time
-from stereo_depth_ros.transport import prepare_process
+from stereo_depth_ros.nodes.transport import prepare_process
 assert prepare_process().profile.applied
 import rclpy
 from sensor_msgs.msg import CameraInfo, Image
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 from stereo_depth_ros.nodes.ros_types import RclpyTypes
 
 width, height, rate_hz, frames = map(int, sys.argv[1:])

@@ -80,7 +80,7 @@ def test_every_module_is_installed(install_space: Path) -> None:
 
 
 def test_installed_package_finds_its_profile(install_space: Path) -> None:
-    code = "from stereo_depth_ros import transport; print(transport.__file__, transport.profile_path())"
+    code = "from stereo_depth_ros.nodes import transport; print(transport.__file__, transport.profile_path())"
     module, profile = output_of(in_sourced_shell(install_space, f'{sys.executable} -c "{code}"')).split()
     assert Path(module).is_relative_to(install_space)
     assert Path(profile) == install_space / "share" / "stereo_depth_ros" / "config" / "fastdds.xml"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.pairing import PairingCounts, StereoPairing
+from stereo_depth_ros.core.pairing import PairingCounts, StereoPairing
 
 MS = 10**6
 EXACT = PairingConfig()

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from stereo_depth_ros.matching.census import CENSUS_BITS
-from stereo_depth_ros.matching.path_costs import LARGEST_PATH_COST, path_step, start_path, step_row
-from stereo_depth_ros.types import U8
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.matching.costs.census import CENSUS_BITS
+from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST, path_step, start_path, step_row
 
 I64 = npt.NDArray[np.int64]
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros import MatchingConfig, PipelineConfig, Reason, StereoPipeline, StereoResult
-from stereo_depth_ros.errors import CalibrationError, ImageError
-from stereo_depth_ros.io.synthetic.sequence import SyntheticFrame, SyntheticSequence
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.types import StereoPair
+from stereo_depth_ros.core.errors import CalibrationError, ImageError
+from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.stages.rectification import Rectifier
+from stereo_depth_ros.synthetic.sequence import SyntheticFrame, SyntheticSequence
 
 SEQUENCE = SyntheticSequence(frames=1, width=320, height=200)
 

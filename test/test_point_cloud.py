@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
+from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.config import CloudConfig
-from stereo_depth_ros.depth import Triangulation
-from stereo_depth_ros.errors import ImageError
-from stereo_depth_ros.io.cloud_message import cloud_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.point_cloud import CloudLayout, pack_points
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F32, U8
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.triangulation import Triangulation
+from stereo_depth_ros.core.types import F32, U8
+from stereo_depth_ros.messages.point_cloud import cloud_message
+from stereo_depth_ros.stages.point_cloud import CloudLayout, pack_points
 
 WIDTH, HEIGHT = 29, 17
 RIG = StereoRig.from_rectified(

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.errors import ImageError
-from stereo_depth_ros.view.preview import color_depth, legend_ticks, preview, save_preview
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.plots.preview import color_depth, legend_ticks, preview, save_preview
 
 SHAPE = (60, 96)
 

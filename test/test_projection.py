@@ -16,7 +16,7 @@ from stereo_depth_ros.calibration.projection import (
     rectified_points,
     turning_radius_px,
 )
-from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.core.errors import ConfigError
 
 BOARD_M = chessboard_points(6, 4)
 

@@ -21,9 +21,9 @@ import typer
 from stereo_bags import messages_of
 
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.io.calibration_yaml import write_camera
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
-from stereo_depth_ros.rectification import Rectifier
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.stages.rectification import Rectifier
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
@@ -134,11 +134,11 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
     pytest.importorskip("rclpy", reason="graph tests need ROS 2")
     from graph_harness import Graph
 
+    from stereo_depth_ros.nodes.calibration_monitor import HealthNode
     from stereo_depth_ros.nodes.calibration_node import CalibrationNode
     from stereo_depth_ros.nodes.depth_node import DepthNode
     from stereo_depth_ros.nodes.disparity_node import DisparityNode
     from stereo_depth_ros.nodes.feature_node import FeatureNode
-    from stereo_depth_ros.nodes.health_node import HealthNode
     from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
     from stereo_depth_ros.nodes.rectify_node import RectifyNode
     from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode

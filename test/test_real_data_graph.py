@@ -21,20 +21,20 @@ import numpy as np
 import pytest
 from stereo_bags import messages_of
 
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.datasets import StereoDataset
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.io.datasets.kitti import KittiDataset
-from stereo_depth_ros.io.datasets.middlebury import MiddleburyDataset
-from stereo_depth_ros.io.datasets.to_bag import convert_dataset
-from stereo_depth_ros.io.image_message import compressed_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.parameter_values import pipeline_config
-from stereo_depth_ros.replay.bag_pairs import BagSelection
-from stereo_depth_ros.replay.offline import process_bag
-from stereo_depth_ros.types import F32, U8
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.config.values import pipeline_config
+from stereo_depth_ros.core.types import F32, U8
+from stereo_depth_ros.datasets.dataset import StereoDataset
+from stereo_depth_ros.datasets.euroc import EurocDataset
+from stereo_depth_ros.datasets.kitti import KittiDataset
+from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
+from stereo_depth_ros.datasets.to_bag import convert_dataset
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import compressed_message
+from stereo_depth_ros.offline.engine import process_bag
 
 pytestmark = [pytest.mark.graph, pytest.mark.real_data]
 
@@ -64,7 +64,7 @@ PLAY = """
 import json, sys
 from stereo_depth_ros.nodes.replay.live import replay_through_graph
 from stereo_depth_ros.nodes.replay.tracker import PairTracker
-from stereo_depth_ros.parameter_values import pipeline_config
+from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.replay.options import ReplayOptions
 
 bag, output, shape, parameters = json.loads(sys.argv[1])

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from two_views import F_TRUE, K_LEFT, K_RIGHT, POSE, SIZE, Views, views
 
-from stereo_depth_ros.camera_model import CameraModel
-from stereo_depth_ros.errors import CalibrationError, ImageError
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import CalibrationError, ImageError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64, Reason
+from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.geometry.correspondences import match_features
 from stereo_depth_ros.geometry.eight_point import unit_scale
 from stereo_depth_ros.geometry.epipolar import fundamental_from_pose, symmetric_epipolar_distance
 from stereo_depth_ros.geometry.reconstruction import Cameras, Level, canonical_cameras, reconstruct
 from stereo_depth_ros.geometry.triangulation import fundamental_from_cameras
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64, Reason
 
 D_LEFT, D_RIGHT = np.array([-0.2, 0.05, 0.001, -0.0007, 0.01]), np.array([-0.17, 0.03, -0.0004, 0.0009, 0.02])
 LEFT = CameraModel(*SIZE, "plumb_bob", K_LEFT, D_LEFT, np.eye(3), np.eye(3, 4))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.nodes.replay.recorder import Recorder
 
 TYPE = "sensor_msgs/msg/Image"

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import Frame, RectifiedPair, StereoPair
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import Frame, RectifiedPair, StereoPair
+from stereo_depth_ros.stages.rectification import Rectifier
 
 SIZE = WIDTH, HEIGHT = 320, 200
 K_LEFT = np.array([[250.0, 0, 148], [0, 262, 103], [0, 0, 1]])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from two_views import K_LEFT, K_RIGHT, POSE, SIZE
 
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.geometry.relative_pose import RelativePose, cross_matrix
-from stereo_depth_ros.stereo_rig import StereoRig
 
 
 def test_cross_matrix() -> None:

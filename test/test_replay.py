@@ -23,15 +23,15 @@ from stereo_bags import (
     write_truth_bag,
 )
 
-from stereo_depth_ros.errors import GraphError, TopicError
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.parameter_values import pipeline_config
-from stereo_depth_ros.replay.bag_pairs import BagSelection
-from stereo_depth_ros.replay.graph_runner import SHAPES, GraphProcesses
-from stereo_depth_ros.replay.offline import process_bag
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.config.values import pipeline_config
+from stereo_depth_ros.core.errors import GraphError, TopicError
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.offline.engine import process_bag
+from stereo_depth_ros.replay.graph_processes import SHAPES, GraphProcesses
 from stereo_depth_ros.replay.options import ReplayOptions
 
 pytestmark = pytest.mark.graph

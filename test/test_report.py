@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from stereo_depth_ros.nodes.replay.tracker import PairTracker
-from stereo_depth_ros.replay.report import OutputStats, ReplayResult, percentile, stage_timings
+from stereo_depth_ros.offline.report import OutputStats, ReplayResult, percentile, stage_timings
 
 
 def result_of(**changes: object) -> ReplayResult:

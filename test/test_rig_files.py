@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from stereo_bags import sequence, write_odd_bag, write_truth_bag
 
-from stereo_depth_ros.errors import BagError, CalibrationError
-from stereo_depth_ros.io.bag_writer import BagWriter
-from stereo_depth_ros.io.calibration_yaml import write_camera
-from stereo_depth_ros.io.image_message import image_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.io.rig_files import read_rig
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.errors import BagError, CalibrationError
+from stereo_depth_ros.datasets.rig_files import read_rig
+from stereo_depth_ros.messages.image import image_message
 
 RIG = sequence(1).rig
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
-from stereo_depth_ros.errors import ImageError
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.types import F64, U8
 
 WIDTH, HEIGHT = 440, 280
 _RANDOM = np.random.default_rng(3)

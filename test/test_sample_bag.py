@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stereo_depth_ros.io.bag_info import inspect_bag
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.disparity_message import published_disparity
-from stereo_depth_ros.io.message_types import stamp_ns
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.bags.info import inspect_bag
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.messages.disparity import published_disparity
+from stereo_depth_ros.messages.types import stamp_ns
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "synthetic_room.mcap"
 

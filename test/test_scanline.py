@@ -12,10 +12,11 @@ import middlebury2001
 import numpy as np
 import pytest
 
-from stereo_depth_ros.matching import create_matcher, scanline
-from stereo_depth_ros.matching.labelling import NO_LABEL
-from stereo_depth_ros.matching.scanline import FAR
-from stereo_depth_ros.types import Reason
+from stereo_depth_ros.core.types import Reason
+from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.matching.global_methods import scanline
+from stereo_depth_ros.matching.global_methods.global_matcher import NO_LABEL
+from stereo_depth_ros.matching.global_methods.scanline import FAR
 
 
 def path_cost(labels: tuple[int, ...], costs: np.ndarray, gaps: np.ndarray, occlusion: int) -> float:

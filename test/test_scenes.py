@@ -12,7 +12,7 @@ import pytest
 from evaluation_scenes import FAR_PX, HEIGHT, NEAR_PX, WIDTH, pair, write, write_kitti, write_scene
 from stereo_bags import write_odd_bag, write_truth_bag
 
-from stereo_depth_ros.errors import BagError, ImageError, TopicError
+from stereo_depth_ros.core.errors import BagError, ImageError, TopicError
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
 from stereo_depth_ros.evaluation.plausibility import check_plausible
 from stereo_depth_ros.evaluation.scenes import Scene, find_scenes, make_scene

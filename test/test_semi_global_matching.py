@@ -13,16 +13,17 @@ import pytest
 from test_census import I64, census_by_definition, costs_by_definition
 from test_path_costs import path_by_definition
 
-from stereo_depth_ros import parallel
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import ConfigError, ImageError
-from stereo_depth_ros.io.datasets.middlebury_scene import MiddleburyScene
-from stereo_depth_ros.matching import create_matcher, semi_global_matching
-from stereo_depth_ros.matching.agreement import agreement
-from stereo_depth_ros.matching.disparity_filter import DisparityFilter
-from stereo_depth_ros.matching.hole_filling import fill_holes
-from stereo_depth_ros.matching.semi_global_matching import SemiGlobalMatcher
-from stereo_depth_ros.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.core import bands as parallel
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene
+from stereo_depth_ros.matching import create_matcher
+from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
+from stereo_depth_ros.matching.filters.hole_filling import fill_holes
+from stereo_depth_ros.matching.local_consistency import agreement
+from stereo_depth_ros.matching.sgm import semi_global_matching
+from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
 
 FOUR_PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 EIGHT_PATHS = (*FOUR_PATHS, (1, 1), (1, -1), (-1, 1), (-1, -1))

@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereo_depth_ros.errors import ImageError
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.types import F32, F64
 from stereo_depth_ros.evaluation.sparsification import SparsificationCurve, sparsification
-from stereo_depth_ros.types import F32, F64
 
 
 def curve_of(confidence: list[float] | F32, error: list[float] | F64) -> SparsificationCurve:

@@ -14,21 +14,21 @@ import numpy.typing as npt
 import pytest
 from rendered_boards import FISHEYE, RIGS, SIZE, exact_views
 
-from stereo_depth_ros.calibration.adjustment import Estimate
 from stereo_depth_ros.calibration.board_views import BoardView
 from stereo_depth_ros.calibration.boards import Corners, create_board
+from stereo_depth_ros.calibration.bundle_adjustment import Estimate
 from stereo_depth_ros.calibration.calibration_files import save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
-from stereo_depth_ros.calibration.lens_folds import check_edges
+from stereo_depth_ros.calibration.distortion_range import check_edges
 from stereo_depth_ros.calibration.row_error import match_rows
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
-from stereo_depth_ros.errors import CalibrationError, ConfigError
-from stereo_depth_ros.io.calibration_yaml import read_camera
-from stereo_depth_ros.io.stereo_pictures import open_pictures
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64, U8
-from stereo_depth_ros.view.coverage_picture import coverage_picture
+from stereo_depth_ros.core.camera_yaml import read_camera
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.datasets.stereo_images import open_pictures
+from stereo_depth_ros.plots.coverage import coverage_picture
 
 MODELS = list(RIGS)
 

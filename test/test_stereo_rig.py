@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.camera_model import CameraModel
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.io.calibration_yaml import write_camera
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.camera_info import camera_info_message
 
 FX, FY, CX_LEFT, CX_RIGHT, CY, BASELINE_M, SIZE = 400.0, 410.0, 150.0, 143.0, 97.0, 0.12, (320, 200)
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import pytest
 
-from stereo_depth_ros.errors import TopicError
-from stereo_depth_ros.io.stereo_topics import StereoTopics, find_stereo_topics
+from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
+from stereo_depth_ros.core.errors import TopicError
 
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
 

@@ -13,23 +13,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from stereo_depth_ros.camera_model import CameraModel
-from stereo_depth_ros.errors import BagError, ConfigError
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.disparity_message import published_disparity
-from stereo_depth_ros.io.synthetic import (
-    Cylinder,
-    Rectangle,
-    Scene,
-    Sphere,
-    SyntheticFrame,
-    SyntheticSequence,
-    Texture,
-)
-from stereo_depth_ros.io.synthetic.bag import TRUTH_STEP_PX, write_synthetic_bag
-from stereo_depth_ros.io.synthetic.rays import depth_and_shadow, pixel_rays, render
-from stereo_depth_ros.io.synthetic.rig import R_RIGHT_LEFT
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import BagError, ConfigError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.disparity import published_disparity
+from stereo_depth_ros.synthetic import Cylinder, Rectangle, Scene, Sphere, SyntheticFrame, SyntheticSequence, Texture
+from stereo_depth_ros.synthetic.bag import TRUTH_STEP_PX, write_synthetic_bag
+from stereo_depth_ros.synthetic.rays import depth_and_shadow, pixel_rays, render
+from stereo_depth_ros.synthetic.rig import R_RIGHT_LEFT
 
 WIDTH, HEIGHT = 161, 120
 ORIGIN, STRAIGHT = np.zeros(3), np.eye(3)

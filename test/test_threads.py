@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros import MatchingConfig, PipelineConfig, StereoPipeline
-from stereo_depth_ros.disparity import DisparityStage
-from stereo_depth_ros.feature_stage import FeatureStage
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.core.types import U8, MatchResult, StereoPair
 from stereo_depth_ros.matching import MATCHERS, create_matcher
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.types import U8, MatchResult, StereoPair
+from stereo_depth_ros.stages.disparity import DisparityStage
+from stereo_depth_ros.stages.features import FeatureStage
+from stereo_depth_ros.stages.rectification import Rectifier
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 THREADS = 2
 SEQUENCE = SyntheticSequence(frames=2, width=160, height=120)

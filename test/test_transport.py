@@ -15,9 +15,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from stereo_depth_ros import installed_files, transport
-from stereo_depth_ros.errors import ConfigError
-from stereo_depth_ros.transport import prepare_process, profile_path
+from stereo_depth_ros.core import installed_files
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.nodes import transport
+from stereo_depth_ros.nodes.transport import prepare_process, profile_path
 
 ROOT = Path(__file__).resolve().parents[1]
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -123,7 +124,7 @@ def test_profile_is_found_in_the_prefix(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 MAPPED_BLOCKS = """
 import ctypes
-from stereo_depth_ros.transport import prepare_process
+from stereo_depth_ros.nodes.transport import prepare_process
 report = prepare_process()
 class Info(ctypes.Structure):  # glibc's struct mallinfo2
     _fields_ = [(name, ctypes.c_size_t) for name in "arena ordblks smblks hblks hblkhd a b c d e".split()]
@@ -176,7 +177,7 @@ def test_malloc_that_cannot_be_set(monkeypatch: pytest.MonkeyPatch, library: obj
 
 PUBLISHER = """
 import array, sys, time
-from stereo_depth_ros.transport import prepare_process
+from stereo_depth_ros.nodes.transport import prepare_process
 assert prepare_process().profile.applied
 import rclpy
 from sensor_msgs.msg import PointCloud2

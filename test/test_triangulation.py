@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from two_views import F_TRUE, K_LEFT, K_RIGHT, POSE, project, views
 
-from stereo_depth_ros.depth import Triangulation
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.triangulation import Triangulation
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.eight_point import unit_scale
 from stereo_depth_ros.geometry.epipolar import homogeneous, sampson_distance
 from stereo_depth_ros.geometry.relative_pose import RelativePose
@@ -21,8 +23,6 @@ from stereo_depth_ros.geometry.triangulation import (
     triangulate_midpoint,
     triangulate_optimal,
 )
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64
 
 P_LEFT = K_LEFT @ np.eye(3, 4)
 P_RIGHT = K_RIGHT @ np.column_stack((POSE.R, POSE.t))

@@ -15,9 +15,13 @@ from stereo_depth_ros.calibration.boards import create_board
 from stereo_depth_ros.calibration.projection import rectified_points
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import find_views
-from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64, U8, Frame, StereoPair
+from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
+from stereo_depth_ros.datasets.euroc import EurocDataset
+from stereo_depth_ros.datasets.stereo_images import open_pictures
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.epipolar import fundamental_from_pose, sampson_distance
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
@@ -27,12 +31,8 @@ from stereo_depth_ros.geometry.uncalibrated_rectification import (
     rectify_uncalibrated,
     shape_under,
 )
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.io.stereo_pictures import open_pictures
 from stereo_depth_ros.pipeline import StereoPipeline
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.types import F64, U8, Frame, StereoPair
-from stereo_depth_ros.uncalibrated_rig import UncalibratedRig
+from stereo_depth_ros.stages.rectification import Rectifier
 
 RECTIFIED = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 FOUND = rectify_uncalibrated(F_TRUE, SIZE)

@@ -13,13 +13,13 @@ import numpy.typing as npt
 import pytest
 from middlebury2001 import bad, matched, scene
 
-from stereo_depth_ros import parallel
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import ConfigError, ImageError
+from stereo_depth_ros.core import bands as parallel
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.matching.disparity_selection import median_filter
-from stereo_depth_ros.matching.window import WindowMatcher
-from stereo_depth_ros.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.matching.selection.float_costs import median_filter
+from stereo_depth_ros.matching.window.fixed_window import WindowMatcher
 
 UNCHECKED: dict[str, Any] = {"num_disparities": 32, "uniqueness_ratio": 0.0, "speckle_size": 0}
 COSTS = ("sad", "ssd", "zsad", "zssd", "ncc", "zncc")
@@ -94,7 +94,9 @@ def plain_disparities(costs: F32, config: MatchingConfig) -> tuple[npt.NDArray[n
 def test_window_of_each_cost_is_the_definition(
     cost: str, low: int, vertical: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stereo_depth_ros.matching.window.median_filter", lambda fixed, reasons, side: fixed)
+    monkeypatch.setattr(
+        "stereo_depth_ros.matching.window.fixed_window.median_filter", lambda fixed, reasons, side: fixed
+    )
     left, right = shifted_pair(7, 41, 6, seed=3)
     left = np.clip(left * 0.8 + 30 + np.random.default_rng(4).normal(0, 6, left.shape), 0, 255).astype(np.uint8)
     matcher = WindowMatcher(

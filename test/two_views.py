@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.epipolar import fundamental_from_pose
 from stereo_depth_ros.geometry.relative_pose import RelativePose
-from stereo_depth_ros.types import F64
 
 K_LEFT = np.array([[455.0, 0.0, 371.0], [0.0, 461.0, 236.0], [0.0, 0.0, 1.0]])
 K_RIGHT = np.array([[512.0, 0.0, 340.0], [0.0, 507.0, 259.0], [0.0, 0.0, 1.0]])

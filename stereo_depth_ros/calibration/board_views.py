@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.calibration.boards import Corners
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.types import F64
 
 __all__ = ["BoardView", "Coverage", "Placement", "ViewCollector", "placement"]
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.projection import parameter_names
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.io.calibration_yaml import write_camera
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.errors import CalibrationError
 
 __all__ = ["save_calibration"]
 

@@ -13,8 +13,8 @@ import numpy as np
 from stereo_depth_ros.calibration.board_views import Coverage
 from stereo_depth_ros.calibration.camera_calibration import DroppedView
 from stereo_depth_ros.calibration.projection import parameter_names
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64
 
 __all__ = ["SolvedCamera", "StereoCalibration", "ViewFigures"]
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from stereo_depth_ros.calibration.adjustment import Adjustment, Estimate, adjust
 from stereo_depth_ros.calibration.boards import Corners
+from stereo_depth_ros.calibration.bundle_adjustment import Adjustment, Estimate, adjust
 from stereo_depth_ros.calibration.projection import MODELS, camera_matrix, project
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
 
 __all__ = ["MIN_LIMIT_PX", "MIN_VIEWS", "DroppedView", "OneCamera", "calibrate_camera", "worst_view"]
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.calibration.boards import Corners, check_board_size, refine_corners
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.core.types import F64, U8
 
 __all__ = ["Chessboard"]
 

@@ -13,8 +13,8 @@ from stereo_depth_ros.calibration.boards import Board, Corners, is_sharp
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.types import U8
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import U8
 
 __all__ = ["GOOD_VIEWS", "LiveCalibration", "Look"]
 

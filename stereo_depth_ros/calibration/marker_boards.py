@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.calibration.boards import MIN_CORNERS, Corners, check_board_size, refine_corners
-from stereo_depth_ros.errors import ConfigError
-from stereo_depth_ros.types import F64, U8
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.types import F64, U8
 
 __all__ = ["AprilGrid", "CharucoBoard"]
 

@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.calibration.row_error import RowMatches
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64
 
 __all__ = ["CorrectionLimits", "Misalignment", "MisalignmentEstimator", "corrected_rig"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
 
 __all__ = ["NormalEquations"]
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from stereo_depth_ros.errors import ConfigError
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.types import F64
 
 __all__ = [
     "MODELS",

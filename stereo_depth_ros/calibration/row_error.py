@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.matching.protocol import check_images
-from stereo_depth_ros.types import F64, U8
 
 __all__ = ["RowMatches", "match_rows"]
 

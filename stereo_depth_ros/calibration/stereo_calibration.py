@@ -10,8 +10,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from stereo_depth_ros.calibration.adjustment import Adjustment, Estimate, adjust
 from stereo_depth_ros.calibration.board_views import BoardView, Coverage, ViewCollector, placement
+from stereo_depth_ros.calibration.bundle_adjustment import Adjustment, Estimate, adjust
 from stereo_depth_ros.calibration.calibration_result import SolvedCamera, StereoCalibration, ViewFigures
 from stereo_depth_ros.calibration.camera_calibration import (
     MIN_LIMIT_PX,
@@ -22,11 +22,11 @@ from stereo_depth_ros.calibration.camera_calibration import (
     too_few,
     worst_view,
 )
-from stereo_depth_ros.calibration.lens_folds import check_edges, left_out, without_folds
+from stereo_depth_ros.calibration.distortion_range import check_edges, left_out, without_folds
 from stereo_depth_ros.calibration.projection import camera_matrix, check_model, rectified_points, turning_radius_px
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.stereo_rig import MAX_BASELINE_M, MIN_BASELINE_M, StereoRig
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import MAX_BASELINE_M, MIN_BASELINE_M, StereoRig
+from stereo_depth_ros.core.types import F64
 
 __all__ = ["calibrate"]
 

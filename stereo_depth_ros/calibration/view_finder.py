@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 from stereo_depth_ros.calibration.board_views import BoardView, ViewCollector
 from stereo_depth_ros.calibration.boards import Board
-from stereo_depth_ros.errors import CalibrationError, ConfigError
-from stereo_depth_ros.io.stereo_pictures import StereoPictures
-from stereo_depth_ros.types import U8
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.datasets.stereo_images import StereoPictures
 
 __all__ = ["FoundViews", "find_views"]
 

@@ -19,10 +19,10 @@ from stereo_depth_ros.calibration.projection import MODELS, check_model
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
 from stereo_depth_ros.cli.output import messages, progress_bar, show
-from stereo_depth_ros.errors import BagError, CalibrationError
-from stereo_depth_ros.io.stereo_pictures import open_pictures
-from stereo_depth_ros.view.coverage_picture import coverage_picture
-from stereo_depth_ros.view.drawing import save_picture
+from stereo_depth_ros.core.errors import BagError, CalibrationError
+from stereo_depth_ros.datasets.stereo_images import open_pictures
+from stereo_depth_ros.plots.coverage import coverage_picture
+from stereo_depth_ros.plots.drawing import save_picture
 
 __all__ = ["calibrate_command"]
 

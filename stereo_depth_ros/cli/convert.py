@@ -10,14 +10,14 @@ from typing import Annotated
 import typer
 
 from stereo_depth_ros.cli.output import messages, progress_bar
-from stereo_depth_ros.io.datasets import StereoDataset
-from stereo_depth_ros.io.datasets.euroc import EurocDataset
-from stereo_depth_ros.io.datasets.images import ImagesDataset
-from stereo_depth_ros.io.datasets.kitti import KittiDataset
-from stereo_depth_ros.io.datasets.middlebury import MiddleburyDataset
-from stereo_depth_ros.io.datasets.to_bag import convert_dataset
-from stereo_depth_ros.io.synthetic.bag import write_synthetic_bag
-from stereo_depth_ros.io.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.datasets.dataset import StereoDataset
+from stereo_depth_ros.datasets.euroc import EurocDataset
+from stereo_depth_ros.datasets.images import ImagesDataset
+from stereo_depth_ros.datasets.kitti import KittiDataset
+from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
+from stereo_depth_ros.datasets.to_bag import convert_dataset
+from stereo_depth_ros.synthetic.bag import write_synthetic_bag
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 __all__ = ["convert_app", "synthesize"]
 

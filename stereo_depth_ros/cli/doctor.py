@@ -12,13 +12,14 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from stereo_depth_ros.calibration.checks.finding import Level
-from stereo_depth_ros.calibration.diagnosis import Diagnosis, StereoSetUp
-from stereo_depth_ros.calibration.doctor import diagnose
 from stereo_depth_ros.cli.output import progress_bar, show
 from stereo_depth_ros.cli.tables import facts_table, plain_table
-from stereo_depth_ros.replay.bag_set_up import set_up_of_bag
-from stereo_depth_ros.replay.graph_runner import require_ros
+from stereo_depth_ros.diagnosis.bag_survey import set_up_of_bag
+from stereo_depth_ros.diagnosis.doctor import diagnose
+from stereo_depth_ros.diagnosis.finding import Level
+from stereo_depth_ros.diagnosis.survey import StereoSetUp
+from stereo_depth_ros.diagnosis.verdict import Diagnosis
+from stereo_depth_ros.replay.graph_processes import require_ros
 
 __all__ = ["doctor_command"]
 
@@ -79,7 +80,7 @@ def _listen(
     left: str | None, right: str | None, left_namespace: str, right_namespace: str, seconds: float
 ) -> StereoSetUp:
     require_ros()
-    from stereo_depth_ros.nodes.doctor_probe import camera_topics, probe_graph  # needs rclpy
+    from stereo_depth_ros.nodes.graph_survey import camera_topics, probe_graph
 
     left_names = (left,) if left else camera_topics(left_namespace)
     right_names = (right,) if right else camera_topics(right_namespace)

@@ -15,16 +15,16 @@ import typer
 from stereo_depth_ros.cli.output import messages, progress_bar, show
 from stereo_depth_ros.cli.tables import evaluation_tables
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import BagError, ImageError, StereoDepthError
+from stereo_depth_ros.config.values import parse_assignments, pipeline_config
+from stereo_depth_ros.core.errors import BagError, ImageError, StereoDepthError
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
 from stereo_depth_ros.evaluation.evaluator import Evaluation, evaluate
 from stereo_depth_ros.evaluation.plausibility import check_plausible
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSet, SceneSource, find_scenes
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.parameter_values import parse_assignments, pipeline_config
-from stereo_depth_ros.view.curve_picture import curve_picture
-from stereo_depth_ros.view.drawing import save_picture
-from stereo_depth_ros.view.error_picture import error_picture
+from stereo_depth_ros.plots.curve import curve_picture
+from stereo_depth_ros.plots.drawing import save_picture
+from stereo_depth_ros.plots.error import error_picture
 
 __all__ = ["evaluate_command"]
 

@@ -14,6 +14,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from stereo_depth_ros.bags.info import inspect_bag
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.cli.calibrate import calibrate_command
 from stereo_depth_ros.cli.convert import convert_app, synthesize
 from stereo_depth_ros.cli.doctor import doctor_command
@@ -22,17 +24,15 @@ from stereo_depth_ros.cli.output import messages, progress_bar, show
 from stereo_depth_ros.cli.rectify import rectify_command
 from stereo_depth_ros.cli.rig import rig_command
 from stereo_depth_ros.cli.tables import info_tables, info_values, parameters_table, parameters_values, result_tables
-from stereo_depth_ros.errors import BagError, StereoDepthError
-from stereo_depth_ros.installed_files import installed_files
-from stereo_depth_ros.io.bag_info import inspect_bag
+from stereo_depth_ros.config.values import Value, parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.core.errors import BagError, StereoDepthError
+from stereo_depth_ros.core.installed_files import installed_files
 from stereo_depth_ros.matching import MATCHERS
-from stereo_depth_ros.parameter_values import Value, parse_assignments, pipeline_config, read_params_file
-from stereo_depth_ros.replay.bag_pairs import BagSelection
-from stereo_depth_ros.replay.bag_preview import save_bag_preview
-from stereo_depth_ros.replay.graph_runner import require_ros
-from stereo_depth_ros.replay.offline import process_bag
+from stereo_depth_ros.offline.engine import process_bag
+from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.plots.bag_preview import save_bag_preview
+from stereo_depth_ros.replay.graph_processes import require_ros
 from stereo_depth_ros.replay.options import ReplayOptions
-from stereo_depth_ros.replay.report import ReplayResult
 
 __all__ = ["app", "main"]
 
@@ -227,7 +227,7 @@ def _replay(
 ) -> ReplayResult:
     _check_output(Path(options.bag), Path(options.output))
     require_ros()
-    from stereo_depth_ros.nodes.replay.live import replay_through_graph  # needs rclpy
+    from stereo_depth_ros.nodes.replay.live import replay_through_graph
 
     config = pipeline_config({**(read_params_file(params_file) if params_file else {}), **values})
     with progress_bar(f"playing, {shape}") as progress:

@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from stereo_depth_ros.errors import BagError
+from stereo_depth_ros.core.errors import BagError
 
 __all__ = ["messages", "progress_bar", "show"]
 

@@ -14,22 +14,22 @@ from rich.table import Table
 
 from stereo_depth_ros.cli.output import messages, show
 from stereo_depth_ros.cli.tables import facts_table
-from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import U8, Frame
+from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
+from stereo_depth_ros.datasets.image_files import read_image
+from stereo_depth_ros.datasets.rig_files import read_rig
 from stereo_depth_ros.geometry.calibrated_rectification import METHODS, common_area, rectify_calibrated
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
 from stereo_depth_ros.geometry.relative_pose import RelativePose
 from stereo_depth_ros.geometry.uncalibrated_rectification import rectify_uncalibrated
-from stereo_depth_ros.io.calibration_yaml import write_camera
-from stereo_depth_ros.io.datasets import read_image
-from stereo_depth_ros.io.image_message import to_gray
-from stereo_depth_ros.io.rig_files import read_rig
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import U8, Frame
-from stereo_depth_ros.uncalibrated_rig import UncalibratedRig
-from stereo_depth_ros.view.drawing import save_picture
-from stereo_depth_ros.view.rows_picture import rows_picture
+from stereo_depth_ros.plots.drawing import save_picture
+from stereo_depth_ros.plots.rows import rows_picture
+from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["rectify_command"]
 

@@ -15,11 +15,10 @@ import typer
 from stereo_depth_ros.cli.output import messages, show
 from stereo_depth_ros.cli.rig_tables import rig_tables
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.geometry.field_of_view import field_of_view
-from stereo_depth_ros.io.rig_files import read_rig
-from stereo_depth_ros.matching import matcher_from_config
-from stereo_depth_ros.parameter_values import parse_assignments, pipeline_config, read_params_file
-from stereo_depth_ros.rig_limits import (
+from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.datasets.rig_files import read_rig
+from stereo_depth_ros.geometry.depth_range import (
     Precision,
     depth_errors,
     depth_range,
@@ -27,9 +26,10 @@ from stereo_depth_ros.rig_limits import (
     usual_nearest,
     whole_depths,
 )
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.view.depth_error_picture import depth_error_picture
-from stereo_depth_ros.view.drawing import save_picture
+from stereo_depth_ros.geometry.field_of_view import field_of_view
+from stereo_depth_ros.matching import matcher_from_config
+from stereo_depth_ros.plots.depth_error import depth_error_picture
+from stereo_depth_ros.plots.drawing import save_picture
 
 __all__ = ["rig_command"]
 

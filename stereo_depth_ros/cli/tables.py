@@ -12,9 +12,9 @@ from typing import Any, TypeAlias
 
 from rich.table import Table
 
+from stereo_depth_ros.bags.info import BagInfo
 from stereo_depth_ros.config import CONFIGS, parameter_infos
-from stereo_depth_ros.io.bag_info import BagInfo
-from stereo_depth_ros.replay.report import ReplayResult
+from stereo_depth_ros.offline.report import ReplayResult
 
 __all__ = [
     "evaluation_tables",

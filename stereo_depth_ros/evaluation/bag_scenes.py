@@ -10,19 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.errors import TopicError
+from stereo_depth_ros.core.errors import TopicError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
-from stereo_depth_ros.io.bag_reader import BagReader
-from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
-from stereo_depth_ros.io.disparity_message import matched_disparity
-from stereo_depth_ros.io.image_message import decode
-from stereo_depth_ros.io.message_types import RosbagsTypes
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.replay.bag_pairs import BagPairs, BagSelection, SerializedPair
-from stereo_depth_ros.replay.bag_score import TRUTH_TOPIC
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import StereoPair
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns
+from stereo_depth_ros.messages.disparity import matched_disparity
+from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["BagScenes"]
 

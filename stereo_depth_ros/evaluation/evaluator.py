@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig, parameter_infos
-from stereo_depth_ros.errors import ImageError
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.types import F32, F64, U8, MatchResult
 from stereo_depth_ros.evaluation.metrics import DisparityErrors, disparity_errors
 from stereo_depth_ros.evaluation.scenes import Scene
 from stereo_depth_ros.evaluation.sparsification import SparsificationCurve, sparsification
 from stereo_depth_ros.matching import Matcher, create_matcher
-from stereo_depth_ros.types import F32, F64, U8, MatchResult
 
 __all__ = ["Confidence", "Evaluation", "evaluate", "search_range"]
 

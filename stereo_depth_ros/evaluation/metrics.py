@@ -10,8 +10,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.errors import ImageError
-from stereo_depth_ros.types import F32, F64
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.types import F32, F64
 
 __all__ = ["DepthErrors", "DisparityErrors", "depth_errors", "disparity_errors"]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.types import F32
+from stereo_depth_ros.core.types import F32
 
 __all__ = ["visible_pixels"]
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stereo_depth_ros.errors import ImageError
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.types import F32
 from stereo_depth_ros.evaluation.scenes import Scene
-from stereo_depth_ros.swapped_eyes import EyeOrder
-from stereo_depth_ros.types import F32
+from stereo_depth_ros.stages.camera_swap import EyeOrder
 
 __all__ = ["check_plausible"]
 

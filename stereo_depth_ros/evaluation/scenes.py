@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.errors import BagError, ImageError
+from stereo_depth_ros.core.errors import BagError, ImageError
+from stereo_depth_ros.core.types import F32, U8
+from stereo_depth_ros.datasets.image_files import list_images, read_image, read_picture
+from stereo_depth_ros.datasets.kitti import read_truth
+from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene
 from stereo_depth_ros.evaluation.occlusion import visible_pixels
-from stereo_depth_ros.io.datasets import list_images, read_image, read_picture
-from stereo_depth_ros.io.datasets.kitti import read_truth
-from stereo_depth_ros.io.datasets.middlebury_scene import MiddleburyScene
-from stereo_depth_ros.types import F32, U8
 
 __all__ = ["Scene", "SceneSet", "SceneSource", "find_scenes", "make_scene"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_depth_ros.errors import ImageError
-from stereo_depth_ros.types import F32, F64
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.types import F32, F64
 
 __all__ = ["SparsificationCurve", "sparsification"]
 

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stereo_depth_ros.camera_model import CameraModel, check_intrinsics
-from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.camera import CameraModel, check_intrinsics
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.rays import camera_rays
 from stereo_depth_ros.geometry.relative_pose import RelativePose
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64
 
 __all__ = ["METHODS", "Area", "common_area", "rectify_calibrated", "rectifying_rotations"]
 

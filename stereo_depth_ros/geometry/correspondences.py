@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.camera_model import CameraModel
-from stereo_depth_ros.errors import ImageError
-from stereo_depth_ros.matching.features import SIFT_SHIFT_PX
-from stereo_depth_ros.types import F32, F64, U8
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.types import F32, F64, U8
+from stereo_depth_ros.matching.features.matcher import SIFT_SHIFT_PX
 
 __all__ = ["Correspondences", "match_features", "undistort_points"]
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.epipolar import homogeneous
-from stereo_depth_ros.types import F64
 
 __all__ = ["check_matches", "eight_point", "enforce_rank_2", "epipolar_equations", "unit_scale"]
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.relative_pose import RelativePose
-from stereo_depth_ros.types import F64
 
 __all__ = [
     "camera_coordinates",

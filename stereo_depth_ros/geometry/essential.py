@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.epipolar import (
     camera_coordinates,
     fundamental_from_essential,
@@ -19,7 +20,6 @@ from stereo_depth_ros.geometry.epipolar import (
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
 from stereo_depth_ros.geometry.relative_pose import RelativePose
 from stereo_depth_ros.geometry.sampson_refinement import refine_essential, robust_cost, robust_scale
-from stereo_depth_ros.types import F64
 
 __all__ = [
     "EssentialEstimate",

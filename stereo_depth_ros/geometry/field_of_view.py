@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_depth_ros.camera_model import CameraModel
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.rays import camera_rays
-from stereo_depth_ros.types import F64
 
 __all__ = ["FieldOfView", "field_of_view"]
 

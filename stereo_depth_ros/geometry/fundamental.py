@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.eight_point import (
     check_matches,
     eight_point,
@@ -22,7 +23,6 @@ from stereo_depth_ros.geometry.eight_point import (
 )
 from stereo_depth_ros.geometry.epipolar import homogeneous, sampson_distance
 from stereo_depth_ros.geometry.sampson_refinement import common_scale, refine_fundamental, robust_scale
-from stereo_depth_ros.types import F64
 
 __all__ = ["FundamentalEstimate", "estimate_fundamental"]
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stereo_depth_ros.camera_model import CameraModel
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.correspondences import undistort_points
-from stereo_depth_ros.types import F64
 
 __all__ = ["camera_rays"]
 

@@ -11,8 +11,10 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.camera_model import CameraModel
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64, U8, Reason
 from stereo_depth_ros.geometry.correspondences import Correspondences, undistort_points
 from stereo_depth_ros.geometry.epipolar import epipoles
 from stereo_depth_ros.geometry.essential import estimate_essential
@@ -25,8 +27,6 @@ from stereo_depth_ros.geometry.triangulation import (
     parallax,
     triangulate_linear,
 )
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64, U8, Reason
 
 __all__ = ["Cameras", "Level", "Reconstruction", "canonical_cameras", "reconstruct"]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_depth_ros.camera_model import check_rotation
-from stereo_depth_ros.errors import CalibrationError
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import F64
+from stereo_depth_ros.core.camera import check_rotation
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64
 
 __all__ = ["RelativePose", "cross_matrix"]
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.epipolar import homogeneous
 from stereo_depth_ros.geometry.relative_pose import cross_matrix
-from stereo_depth_ros.types import F64
 
 __all__ = ["common_scale", "refine_essential", "refine_fundamental", "robust_cost", "robust_scale"]
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Points of space from matched points of two pictures whose cameras are known; of any two cameras, raw or not.
 
-Rectified pairs have a closed form of their own: :meth:`stereo_depth_ros.depth.Triangulation.points`.
+Rectified pairs have a closed form of their own: :meth:`stereo_depth_ros.core.triangulation.Triangulation.points`.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.correspondences import Correspondences
 from stereo_depth_ros.geometry.epipolar import homogeneous
 from stereo_depth_ros.geometry.relative_pose import RelativePose, cross_matrix
-from stereo_depth_ros.types import F64
 
 __all__ = [
     "fundamental_from_cameras",

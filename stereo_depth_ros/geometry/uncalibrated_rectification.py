@@ -15,9 +15,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.epipolar import epipoles, homogeneous
-from stereo_depth_ros.types import F64
 
 __all__ = ["Shape", "UncalibratedRectification", "rectify_uncalibrated", "shape_under"]
 

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import ConfigError
-from stereo_depth_ros.matching.agreement import agreement
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.matching.local_consistency import agreement
 from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
-from stereo_depth_ros.types import F32, U8, MatchResult, Reason
 
 __all__ = ["OnnxMatcher"]
 

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.errors import ConfigError, ImageError
-from stereo_depth_ros.types import F32, U8, MatchResult
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.types import F32, U8, MatchResult
 
 __all__ = ["Matcher", "check_buffer", "check_images", "check_pair", "check_search"]
 

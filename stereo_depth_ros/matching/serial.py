@@ -9,8 +9,8 @@ import threading
 from abc import ABC, abstractmethod
 
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.matching.protocol import check_buffer, check_images
-from stereo_depth_ros.types import F32, U8, MatchResult
 
 __all__ = ["SerialMatcher"]
 

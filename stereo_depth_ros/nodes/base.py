@@ -17,10 +17,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.errors import TopicError
-from stereo_depth_ros.nodes.health import Health
+from stereo_depth_ros.core.errors import TopicError
+from stereo_depth_ros.nodes.diagnostics import Health
+from stereo_depth_ros.nodes.message_types import RclpyTypes
 from stereo_depth_ros.nodes.parameters import NodeParameters
-from stereo_depth_ros.nodes.ros_types import RclpyTypes
 
 __all__ = ["Output", "StereoNode"]
 

@@ -12,9 +12,9 @@ from typing import Any
 from sensor_msgs.msg import CameraInfo
 
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.errors import CalibrationError
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.nodes.base import StereoNode
-from stereo_depth_ros.stereo_rig import StereoRig
 
 __all__ = ["CalibrationInput"]
 

@@ -21,19 +21,20 @@ from stereo_depth_ros.calibration.boards import create_board, parse_board_size
 from stereo_depth_ros.calibration.calibration_files import save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.live_calibration import LiveCalibration, Look
-from stereo_depth_ros.camera_model import CameraModel
 from stereo_depth_ros.config import CalibrationConfig
-from stereo_depth_ros.errors import CalibrationError, StereoDepthError
-from stereo_depth_ros.io.camera_info_message import camera_info_message
-from stereo_depth_ros.io.image_message import image_message, to_gray
-from stereo_depth_ros.io.message_types import stamp_ns
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import CalibrationError, StereoDepthError
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.types import U8, Frame
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.types import U8, Frame
-from stereo_depth_ros.view.coverage_picture import coverage_picture
-from stereo_depth_ros.view.drawing import save_picture
-from stereo_depth_ros.view.live_picture import live_picture
+from stereo_depth_ros.plots.coverage import coverage_picture
+from stereo_depth_ros.plots.drawing import save_picture
+from stereo_depth_ros.plots.operator_overlay import live_picture
 
 __all__ = ["CalibrationNode", "main"]
 

@@ -10,15 +10,16 @@ from sensor_msgs.msg import CameraInfo, Image
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.config import DepthConfig
-from stereo_depth_ros.depth import depth_from_disparity
-from stereo_depth_ros.io.camera_info_message import rectified_camera_info
-from stereo_depth_ros.io.disparity_message import published_disparity, published_triangulation
-from stereo_depth_ros.io.message_types import stamp_ns
-from stereo_depth_ros.io.result_messages import PayloadPool, depth_message
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.camera_info import rectified_camera_info
+from stereo_depth_ros.messages.depth import depth_message
+from stereo_depth_ros.messages.disparity import published_disparity, published_triangulation
+from stereo_depth_ros.messages.payloads import PayloadPool
+from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.stages.depth import depth_from_disparity
 
 __all__ = ["DepthNode", "main"]
 

@@ -10,15 +10,16 @@ from typing import Any
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.disparity import DisparityStage
-from stereo_depth_ros.io.image_message import to_gray
-from stereo_depth_ros.io.result_messages import PayloadPool, match_message
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.matching import matcher_from_config
+from stereo_depth_ros.messages.disparity import match_message
+from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.stages.disparity import DisparityStage
 
 __all__ = ["DisparityNode", "main"]
 

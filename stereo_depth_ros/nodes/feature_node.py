@@ -10,16 +10,16 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from stereo_depth_ros.config import CloudConfig, MatchingConfig
-from stereo_depth_ros.depth import Triangulation
-from stereo_depth_ros.feature_stage import FeatureStage
-from stereo_depth_ros.io.cloud_message import sparse_cloud_message
-from stereo_depth_ros.io.image_message import to_gray
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.triangulation import Triangulation
+from stereo_depth_ros.messages.point_cloud import sparse_cloud_message
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.point_cloud import CloudLayout
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.stages.features import FeatureStage
+from stereo_depth_ros.stages.point_cloud import CloudLayout
 
 __all__ = ["FeatureNode", "main"]
 

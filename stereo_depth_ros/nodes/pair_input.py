@@ -10,12 +10,12 @@ from typing import Any
 from sensor_msgs.msg import CompressedImage, Image
 
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.io.image_message import decode
-from stereo_depth_ros.io.message_types import stamp_ns
+from stereo_depth_ros.core.pairing import StereoPairing
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import Frame
+from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
-from stereo_depth_ros.pairing import StereoPairing
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import Frame
 
 __all__ = ["PairInput", "add_image_input", "decode_eye", "decode_from"]
 

@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos, replace_checked, unknown_parameter
-from stereo_depth_ros.errors import ConfigError
+from stereo_depth_ros.core.errors import ConfigError
 
 __all__ = ["NodeParameters"]
 

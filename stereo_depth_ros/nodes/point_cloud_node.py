@@ -10,16 +10,16 @@ from sensor_msgs.msg import PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.config import CloudConfig
-from stereo_depth_ros.io.cloud_message import cloud_message
-from stereo_depth_ros.io.disparity_message import published_disparity, published_triangulation
-from stereo_depth_ros.io.message_types import stamp_ns
-from stereo_depth_ros.io.result_messages import PayloadPool
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.disparity import published_disparity, published_triangulation
+from stereo_depth_ros.messages.payloads import PayloadPool
+from stereo_depth_ros.messages.point_cloud import cloud_message
+from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.point_cloud import CloudLayout
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.stages.point_cloud import CloudLayout
 
 __all__ = ["PointCloudNode", "main"]
 

@@ -9,14 +9,15 @@ from typing import Any
 
 from sensor_msgs.msg import Image
 
-from stereo_depth_ros.io.image_message import image_message, to_gray
-from stereo_depth_ros.io.result_messages import PayloadPool
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.pair_input import add_image_input, decode_eye
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.rectification import Rectifier
-from stereo_depth_ros.stereo_rig import StereoRig
+from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["RectifyNode", "main"]
 

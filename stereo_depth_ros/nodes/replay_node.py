@@ -15,17 +15,17 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
+from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
-from stereo_depth_ros.errors import StereoDepthError
+from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
 from stereo_depth_ros.nodes.replay.player import Player
 from stereo_depth_ros.nodes.replay.recorder import Recorder
-from stereo_depth_ros.replay.bag_pairs import BagPairs
-from stereo_depth_ros.replay.bag_score import score_disparity
+from stereo_depth_ros.nodes.transport import prepare_process
+from stereo_depth_ros.offline.provenance import provenance
+from stereo_depth_ros.offline.report import ReplayResult
 from stereo_depth_ros.replay.options import ReplayOptions
-from stereo_depth_ros.replay.provenance import provenance
-from stereo_depth_ros.replay.report import ReplayResult
-from stereo_depth_ros.transport import prepare_process
 
 __all__ = ["main", "play", "replay"]
 

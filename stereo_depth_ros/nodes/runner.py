@@ -14,8 +14,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
-from stereo_depth_ros.errors import GraphError, StereoDepthError
-from stereo_depth_ros.transport import prepare_process
+from stereo_depth_ros.core.errors import GraphError, StereoDepthError
+from stereo_depth_ros.nodes.transport import prepare_process
 
 __all__ = ["run"]
 

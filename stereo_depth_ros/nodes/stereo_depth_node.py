@@ -12,15 +12,15 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, PairingConfig, PipelineConfig
-from stereo_depth_ros.io.result_messages import ResultMessages
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
 from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.outputs import ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline
-from stereo_depth_ros.stereo_rig import StereoRig
-from stereo_depth_ros.types import StereoPair
 
 __all__ = ["StereoDepthNode", "main"]
 

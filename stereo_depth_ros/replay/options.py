@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.config import parameter_infos
-from stereo_depth_ros.errors import ConfigError
-from stereo_depth_ros.replay.bag_pairs import BagSelection
+from stereo_depth_ros.core.errors import ConfigError
 
 __all__ = ["ReplayOptions"]
 

@@ -19,10 +19,10 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Float64MultiArray
 from stereo_msgs.msg import DisparityImage
 
-from stereo_depth_ros.io.cdr_stamp import cdr_stamp_ns
+from stereo_depth_ros.bags.pairs import SerializedPair
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.nodes.replay.recorder import Recorder
-from stereo_depth_ros.replay.bag_pairs import SerializedPair
-from stereo_depth_ros.replay.report import stage_timings
+from stereo_depth_ros.offline.report import stage_timings
 
 __all__ = ["GraphPorts"]
 

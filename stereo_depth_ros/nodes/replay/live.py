@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
+from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.nodes.replay_node import replay
-from stereo_depth_ros.replay.bag_pairs import BagPairs
-from stereo_depth_ros.replay.graph_runner import GraphProcesses
+from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.replay.graph_processes import GraphProcesses
 from stereo_depth_ros.replay.options import ReplayOptions
-from stereo_depth_ros.replay.report import ReplayResult
 
 __all__ = ["replay_through_graph"]
 

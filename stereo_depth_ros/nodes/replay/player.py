@@ -7,13 +7,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 
-from stereo_depth_ros.errors import GraphError
-from stereo_depth_ros.io.cdr_stamp import stamp_text
+from stereo_depth_ros.bags.pairs import BagPairs, SerializedPair
+from stereo_depth_ros.core.errors import GraphError
+from stereo_depth_ros.messages.cdr import stamp_text
 from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
 from stereo_depth_ros.nodes.replay.tracker import LostPair, PairTracker
-from stereo_depth_ros.replay.bag_pairs import BagPairs, SerializedPair
+from stereo_depth_ros.offline.report import OutputStats
 from stereo_depth_ros.replay.options import ReplayOptions
-from stereo_depth_ros.replay.report import OutputStats
 
 __all__ = ["Player"]
 

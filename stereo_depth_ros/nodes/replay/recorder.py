@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TypeAlias
 
-from stereo_depth_ros.errors import BagError
-from stereo_depth_ros.io.bag_writer import BagWriter
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.errors import BagError
 
 __all__ = ["Recorder"]
 

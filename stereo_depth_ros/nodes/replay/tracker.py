@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from stereo_depth_ros.replay.report import OutputStats
+from stereo_depth_ros.offline.report import OutputStats
 
 __all__ = ["LostPair", "PairTracker"]
 

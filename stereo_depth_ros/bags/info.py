@@ -1,0 +1,220 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is in a bag, whether stereo depth can be made of it, and why not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
+from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.errors import CalibrationError, MessageError, TopicError
+from stereo_depth_ros.core.pairing import StereoPairing
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns
+from stereo_depth_ros.messages.image import decode
+
+__all__ = ["BagInfo", "ImageInfo", "TopicSummary", "inspect_bag"]
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """Message type, number of messages, and their mean rate over the length of the bag, Hz (0 for less than two)."""
+
+    msgtype: str
+    count: int
+    rate_hz: float
+
+
+@dataclass(frozen=True)
+class ImageInfo:
+    """Size in pixels and encoding (for compressed images the format) of the first image of a topic."""
+
+    width: int
+    height: int
+    encoding: str
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """What :func:`inspect_bag` found; None where there is nothing to say it of.
+
+    Attributes:
+        path: the bag.
+        start_ns, duration_s: log time of the first message, and from there to the last one.
+        topics: all topics.
+        stereo: the topics of the two eyes.
+        left_image, right_image: the first image of each eye.
+        rig: the calibration.
+        exact_pairs: pairs of equal stamps.
+        near_pairs: pairs within ``tolerance_s``, equal stamps included.
+        problems: what stands in the way of stereo depth, a sentence each, with its remedy.
+        warnings: what does not stand in the way.
+    """
+
+    path: Path
+    start_ns: int
+    duration_s: float
+    topics: dict[str, TopicSummary]
+    stereo: StereoTopics | None
+    left_image: ImageInfo | None
+    right_image: ImageInfo | None
+    rig: StereoRig | None
+    exact_pairs: int
+    near_pairs: int
+    tolerance_s: float
+    problems: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Nothing stands in the way of stereo depth."""
+        return not self.problems
+
+
+def inspect_bag(path: Path, *, left: str | None = None, right: str | None = None, tolerance_s: float = 0.01) -> BagInfo:
+    """Looks at a whole bag; only the first image of each eye is decoded.
+
+    Args:
+        path: the bag.
+        left, right: image topics where they are known.
+        tolerance_s: largest difference of stamps in a near pair.
+
+    Raises:
+        BagError: not a readable bag. All else is told in ``problems``.
+    """
+    with BagReader(path) as reader:
+        inspection = _Inspection(reader)
+        stereo = inspection.find_topics(left, right)
+        eyes = (stereo.left_image, stereo.right_image) if stereo else (None, None)
+        left_image, right_image = (inspection.first_image(topic) for topic in eyes)
+        rig = inspection.read_rig(stereo, left_image, right_image)
+        exact_pairs, near_pairs = inspection.count_pairs(stereo, tolerance_s)
+        duration_s = (reader.end_ns - reader.start_ns) * 1e-9
+        return BagInfo(
+            path=path,
+            start_ns=reader.start_ns,
+            duration_s=duration_s,
+            topics=_summaries(reader, duration_s),
+            stereo=stereo,
+            left_image=left_image,
+            right_image=right_image,
+            rig=rig,
+            exact_pairs=exact_pairs,
+            near_pairs=near_pairs,
+            tolerance_s=tolerance_s,
+            problems=tuple(inspection.problems),
+            warnings=(reader.warning,) if reader.warning else (),
+        )
+
+
+class _Inspection:
+    """One question a method; what is wrong is collected in ``problems``."""
+
+    def __init__(self, reader: BagReader) -> None:
+        self._reader = reader
+        self.problems: list[str] = []
+
+    def find_topics(self, left: str | None, right: str | None) -> StereoTopics | None:
+        types = {name: info.msgtype for name, info in self._reader.topics.items()}
+        try:
+            return find_stereo_topics(types, left, right)
+        except TopicError as error:
+            self.problems.append(str(error))
+            return None
+
+    def first_image(self, topic: str | None) -> ImageInfo | None:
+        message = self._first(topic)
+        if message is None:
+            return None
+        try:
+            frame = decode(message, topic or "")
+        except MessageError as error:
+            self.problems.append(str(error))
+            return None
+        height, width = frame.pixels.shape[:2]
+        return ImageInfo(width, height, getattr(message, "encoding", "") or message.format)
+
+    def read_rig(
+        self, stereo: StereoTopics | None, left_image: ImageInfo | None, right_image: ImageInfo | None
+    ) -> StereoRig | None:
+        if stereo is None:
+            return None
+        if stereo.left_info is None or stereo.right_info is None:
+            self.problems.append(
+                f"no CameraInfo topics for {stereo.left_image} and {stereo.right_image}: record the camera infos too"
+            )
+            return None
+        infos = self._first(stereo.left_info), self._first(stereo.right_info)
+        if None in infos:
+            return None
+        try:
+            rig = StereoRig.from_infos(*infos, topics=(stereo.left_info, stereo.right_info))
+            for topic, image in ((stereo.left_image, left_image), (stereo.right_image, right_image)):
+                if image is not None:
+                    rig.check_image(image.width, image.height, topic)
+        except CalibrationError as error:
+            self.problems.append(str(error))
+            return None
+        return rig
+
+    def count_pairs(self, stereo: StereoTopics | None, tolerance_s: float) -> tuple[int, int]:
+        if stereo is None:
+            return 0, 0
+        try:
+            stamps = self._stamps(stereo)
+        except MessageError as error:
+            self.problems.append(str(error))
+            return 0, 0
+        near = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=tolerance_s)
+        exact_pairs, near_pairs = _count_pairs(stamps, PairingConfig()), _count_pairs(stamps, near)
+        if not exact_pairs:
+            self.problems.append(_no_pairs(stereo, near_pairs, tolerance_s))
+        return exact_pairs, near_pairs
+
+    def _stamps(self, stereo: StereoTopics) -> list[tuple[bool, int]]:
+        """(is left, header stamp) of every image, in the order of the bag."""
+        messages = self._reader.messages([stereo.left_image, stereo.right_image])
+        return [(message.topic == stereo.left_image, cdr_stamp_ns(message.data)) for message in messages]
+
+    def _first(self, topic: str | None) -> Any:
+        if topic is None:
+            return None
+        message = next(self._reader.messages([topic]), None)
+        if message is None:
+            self.problems.append(f"{topic} has no messages: record it again")
+            return None
+        try:
+            return self._reader.deserialize(message)
+        except MessageError as error:
+            self.problems.append(str(error))
+            return None
+
+
+def _count_pairs(stamps: Iterable[tuple[bool, int]], config: PairingConfig) -> int:
+    pairing: StereoPairing[None] = StereoPairing(config)
+    for is_left, stamp_ns in stamps:
+        (pairing.add_left if is_left else pairing.add_right)(stamp_ns, None)
+    pairing.flush()
+    return pairing.counts.paired
+
+
+def _no_pairs(stereo: StereoTopics, near_pairs: int, tolerance_s: float) -> str:
+    eyes = f"no image of {stereo.left_image} has the stamp of one of {stereo.right_image}"
+    if near_pairs:
+        return (
+            f"{eyes}, but {near_pairs} pairs are within {tolerance_s:g} s: set approximate_sync and "
+            f"approximate_sync_tolerance_seconds = {tolerance_s:g}"
+        )
+    return f"{eyes}, and none is within {tolerance_s:g} s: synchronise the cameras and record again"
+
+
+def _summaries(reader: BagReader, duration_s: float) -> dict[str, TopicSummary]:
+    def rate_hz(count: int) -> float:
+        return (count - 1) / duration_s if count > 1 and duration_s > 0 else 0.0
+
+    return {name: TopicSummary(info.msgtype, info.count, rate_hz(info.count)) for name, info in reader.topics.items()}

@@ -1,0 +1,194 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stereo pairs of a bag as serialised messages, for the live replay and the offline engine alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagMessage, BagReader
+from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
+from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.camera_info import camera_from_info
+from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
+from stereo_depth_ros.core.pairing import StereoPairing
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp
+
+__all__ = ["BagPairs", "BagSelection", "SerializedPair"]
+
+
+@dataclass(frozen=True)
+class BagSelection:
+    """Which part of a bag is read.
+
+    Attributes:
+        path: the bag.
+        left, right: image topics; None finds them.
+        start_seconds: where to begin, after the bag's first message.
+        duration_seconds: how much to read; 0 is all.
+    """
+
+    path: Path
+    left: str | None = None
+    right: str | None = None
+    start_seconds: float = 0.0
+    duration_seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("start_seconds", "duration_seconds"):
+            value = getattr(self, name)
+            if not 0 <= value < 1e9:
+                raise ConfigError(f"{name} = {value} is outside 0..1e9 s: set seconds from the beginning of the bag")
+
+
+@dataclass(frozen=True)
+class SerializedPair:
+    """Left and right image that belong together, with their camera infos, all as CDR bytes.
+
+    Attributes:
+        stamp_ns, right_stamp_ns: header stamps of the two images.
+        left, right: images; Image or CompressedImage.
+        left_info, right_info: CameraInfo, stamped as its image.
+    """
+
+    stamp_ns: int
+    right_stamp_ns: int
+    left: bytes
+    right: bytes
+    left_info: bytes
+    right_info: bytes
+
+    def shifted(self, shift_ns: int) -> SerializedPair:
+        """The same pair, all stamps later by ``shift_ns``."""
+        if not shift_ns:
+            return self
+        stamp_ns, right_stamp_ns = self.stamp_ns + shift_ns, self.right_stamp_ns + shift_ns
+        return SerializedPair(
+            stamp_ns,
+            right_stamp_ns,
+            with_stamp(self.left, stamp_ns),
+            with_stamp(self.right, right_stamp_ns),
+            with_stamp(self.left_info, stamp_ns),
+            with_stamp(self.right_info, right_stamp_ns),
+        )
+
+
+class BagPairs:
+    """An open stereo bag.
+
+    A pair carries the camera infos that were read last before it (the bag's first ones before that), stamped as its
+    images: infos that a driver sent once only serve the whole bag. Where the names of the topics say that the images
+    are rectified, the infos say so too, so that they are not rectified again.
+
+    Args:
+        selection: which bag, topics and part of it.
+        pairing: how stamps are paired.
+
+    Attributes:
+        topics: the topics that are read.
+        count: images of the left eye in the whole bag, an upper bound of the number of pairs.
+        unpaired_left, unpaired_right: images without a partner; final after :meth:`pairs` is exhausted.
+        warning: one sentence about a bag that is cut, or empty.
+
+    Raises:
+        BagError, TopicError: no bag, no stereo pair in it, or no camera infos.
+    """
+
+    def __init__(self, selection: BagSelection, pairing: PairingConfig) -> None:
+        self._selection = selection
+        self._pairing_config = pairing
+        self._types = RosbagsTypes()
+        self._reader = BagReader(selection.path)
+        try:
+            self.topics, self._info_topics = self._find_topics()
+        except TopicError:
+            self._reader.close()
+            raise
+        self.count = self._reader.topics[self.topics.left_image].count
+        self.unpaired_left = self.unpaired_right = 0
+        self.warning = self._reader.warning
+
+    def pairs(self) -> Iterator[SerializedPair]:
+        """The pairs in the order of their stamps.
+
+        Raises:
+            BagError: the bag is damaged where it is read.
+        """
+        pairing: StereoPairing[bytes] = StereoPairing(self._pairing_config)
+        infos = self._first_infos()
+        for message in self._messages():
+            if message.topic in infos:
+                infos[message.topic] = self._info_of_images(message)
+                continue
+            is_left = message.topic == self.topics.left_image
+            add = pairing.add_left if is_left else pairing.add_right
+            for left, right in add(cdr_stamp_ns(message.data), message.data):
+                yield self._pair(left, right, infos)
+        for left, right in pairing.flush():
+            yield self._pair(left, right, infos)
+        self.unpaired_left, self.unpaired_right = pairing.counts.dropped_left, pairing.counts.dropped_right
+
+    def close(self) -> None:
+        """Close the bag."""
+        self._reader.close()
+
+    def __enter__(self) -> BagPairs:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _find_topics(self) -> tuple[StereoTopics, tuple[str, str]]:
+        types = {name: info.msgtype for name, info in self._reader.topics.items()}
+        try:
+            topics = find_stereo_topics(types, self._selection.left, self._selection.right)
+        except TopicError as error:
+            raise TopicError(f"{self._selection.path}: {error}") from error
+        if topics.left_info is None or topics.right_info is None:
+            missing = topics.left_image if topics.left_info is None else topics.right_image
+            raise TopicError(
+                f"{self._selection.path}: no CameraInfo belongs to {missing}, topics of the bag are "
+                f"{', '.join(types)}: record the camera infos too"
+            )
+        return topics, (topics.left_info, topics.right_info)
+
+    def _first_infos(self) -> dict[str, bytes]:
+        infos = {}
+        for topic in self._info_topics:
+            first = next(self._reader.messages([topic]), None)
+            if first is None:
+                raise BagError(f"{self._selection.path}: {topic} has no messages: record the camera infos too")
+            infos[topic] = self._info_of_images(first)
+        return infos
+
+    def _info_of_images(self, message: BagMessage) -> bytes:
+        """The camera info, without what has been done already to images that are rectified."""
+        if not self.topics.rectified:
+            return message.data
+        camera = camera_from_info(self._reader.deserialize(message), message.topic).rectified()
+        return self._types.serialize(camera_info_message(self._types, camera, cdr_stamp_ns(message.data)))
+
+    def _messages(self) -> Iterator[BagMessage]:
+        start_ns = self._reader.start_ns + round(1e9 * self._selection.start_seconds)
+        duration_ns = round(1e9 * self._selection.duration_seconds)
+        wanted = [self.topics.left_image, self.topics.right_image, *self._info_topics]
+        return self._reader.messages(wanted, start_ns, start_ns + duration_ns if duration_ns else None)
+
+    def _pair(self, left: bytes, right: bytes, infos: dict[str, bytes]) -> SerializedPair:
+        stamp_ns, right_stamp_ns = cdr_stamp_ns(left), cdr_stamp_ns(right)
+        left_info, right_info = (infos[topic] for topic in self._info_topics)
+        return SerializedPair(
+            stamp_ns,
+            right_stamp_ns,
+            left,
+            right,
+            with_stamp(left_info, stamp_ns),
+            with_stamp(right_info, right_stamp_ns),
+        )

@@ -1,0 +1,167 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Opens the files that a bag consists of, whatever their kind and state."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+import apsw
+import zstandard
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection
+from rosbags.serde import SerdeError
+from rosbags.typesys import TypesysError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.recovery import RecoveredMcap
+from stereo_depth_ros.core.errors import BagError
+
+if sys.version_info >= (3, 14):  # the one that rosbags uses
+    from compression.zstd import ZstdError
+else:
+    from backports.zstd import ZstdError
+
+__all__ = ["UNREADABLE", "BagSource", "open_sources"]
+
+# what rosbags and zstandard raise at a file that is cut, damaged, or of a kind they do not know
+UNREADABLE = (
+    rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, zstandard.ZstdError, ZstdError, OSError, EOFError,
+    AssertionError, KeyError, RuntimeError, TypeError, ValueError, struct.error,
+)  # fmt: skip
+
+_KINDS = "an .mcap, .db3 or .bag file or a rosbag2 folder"
+
+
+class BagSource(Protocol):
+    """One file of a bag; ``topics`` gives message type and number of messages per topic."""
+
+    start_ns: int
+    end_ns: int
+
+    @property
+    def topics(self) -> dict[str, tuple[str, int]]: ...
+
+    def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[tuple[str, int, bytes]]: ...
+
+    def close(self) -> None: ...
+
+
+def open_sources(path: Path, types: RosbagsTypes, stack: ExitStack) -> list[BagSource]:
+    """The files of a bag, opened; ``stack`` closes them.
+
+    Raises:
+        BagError: the path does not exist, is not a bag, is empty, or cannot be read.
+    """
+    if not path.exists():
+        raise BagError(f"{path} does not exist: give {_KINDS}")
+    if not path.is_dir():
+        return [_open_file(path, types, stack, packed_messages=False)]
+    # rosbags compares the QoS of metadata.yaml with that of the files and passes over messages where they differ, so
+    # each file is opened by itself and only its names and the compression are taken from metadata.yaml
+    metadata = _read_metadata(path / "metadata.yaml")
+    files = [path / Path(name).name for name in metadata.get("relative_file_paths") or []]
+    if missing := [file.name for file in files if not file.exists()]:
+        raise BagError(f"{path} lacks {', '.join(missing)}, which its metadata.yaml names: copy the whole folder")
+    files = files or sorted(file for file in path.iterdir() if _kind(file) in (".mcap", ".db3"))
+    if not files:
+        raise BagError(f"{path} is not a bag, it holds no .mcap or .db3 file: give {_KINDS}")
+    packed_messages = str(metadata.get("compression_mode") or "").lower() == "message"
+    return [_open_file(file, types, stack, packed_messages=packed_messages) for file in files]
+
+
+class _RosbagsSource:
+    """A file that rosbags opens; messages of ROS 1 become CDR, messages compressed one by one are unpacked."""
+
+    def __init__(self, path: Path, types: RosbagsTypes, packed_messages: bool) -> None:
+        self._types = types
+        self._packed = packed_messages
+        self._ros1 = path.suffix == ".bag"
+        self._reader = rosbag1.Reader(path) if self._ros1 else rosbag2.Reader(path)
+        self._reader.open()
+        self.start_ns = self._reader.start_time
+        self.end_ns = self._reader.end_time - 1  # rosbags counts to the nanosecond after the last message
+
+    @property
+    def topics(self) -> dict[str, tuple[str, int]]:
+        topics = self._reader.topics.items()
+        return {name: (info.msgtype or "", info.msgcount) for name, info in topics}
+
+    def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[tuple[str, int, bytes]]:
+        connections = [connection for connection in self._reader.connections if connection.topic in topics]
+        if not connections:  # an empty list would mean all of them
+            return
+        for connection, log_time_ns, data in self._reader.messages(connections, start_ns, end_ns + 1):
+            yield connection.topic, log_time_ns, self._cdr(connection, data)
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def _cdr(self, connection: Connection, data: bytes) -> bytes:
+        if self._packed:
+            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        if not self._ros1:
+            return bytes(data)
+        try:
+            return bytes(self._types.typestore.ros1_to_cdr(data, connection.msgtype))
+        except (KeyError, SerdeError, TypesysError) as error:
+            raise BagError(
+                f"topic {connection.topic} of type {connection.msgtype} has no ROS 2 Jazzy equivalent: "
+                "convert the bag with rosbags-convert, or leave the topic out"
+            ) from error
+
+
+def _open_file(path: Path, types: RosbagsTypes, stack: ExitStack, *, packed_messages: bool) -> BagSource:
+    if _kind(path) not in (".mcap", ".db3", ".bag"):
+        raise BagError(f"{path} is not a bag: give {_KINDS}")
+    if not path.stat().st_size:
+        raise BagError(f"{path} is empty (0 bytes): record it again")
+    file = _unpack(path, stack) if path.suffix == ".zstd" else path
+    source: BagSource
+    try:
+        source = _RosbagsSource(file, types, packed_messages)
+    except UNREADABLE as error:
+        if file.suffix != ".mcap" or packed_messages:
+            raise BagError(f"{path} is cut or damaged ({error}): {_remedy(file)}") from error
+        source = RecoveredMcap(file)
+    stack.callback(source.close)
+    return source
+
+
+def _kind(path: Path) -> str:
+    """The suffix, without that of a file that was compressed as a whole."""
+    return Path(path.stem).suffix if path.suffix == ".zstd" else path.suffix
+
+
+def _unpack(path: Path, stack: ExitStack) -> Path:
+    folder = stack.enter_context(TemporaryDirectory())
+    unpacked = Path(folder, path.stem)
+    try:
+        with path.open("rb") as source, unpacked.open("wb") as target:
+            shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(source), target)
+    except (OSError, zstandard.ZstdError) as error:
+        raise BagError(f"{path} cannot be unpacked ({error}): copy it again") from error
+    return unpacked
+
+
+def _remedy(path: Path) -> str:
+    if path.suffix == ".db3":
+        return f"save what is left with `sqlite3 {path.name} .recover | sqlite3 new.db3`"
+    return "save what is left with `rosbag reindex`" if path.suffix == ".bag" else "record it again"
+
+
+def _read_metadata(path: Path) -> dict[str, Any]:
+    """What metadata.yaml says of the bag; nothing where it is missing or broken, as after a crash of the recorder."""
+    try:
+        return dict(YAML(typ="safe", pure=True).load(path)["rosbag2_bagfile_information"])
+    except (OSError, YAMLError, KeyError, TypeError, ValueError):
+        return {}

@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Finds the left and right images and their camera infos among topics of any names; pure."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from stereo_depth_ros.core.errors import TopicError
+
+__all__ = ["StereoTopics", "find_stereo_topics"]
+
+_RAW = "sensor_msgs/msg/Image"
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_INFO = "sensor_msgs/msg/CameraInfo"
+_REMEDY = "name them with --left and --right"
+
+# words of a name: leftImage2 is left, Image, 2
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+|[^A-Za-z\d]+")
+_RECTIFIED = {"rect", "rectified", "undistorted", "undist"}
+_COLOR = {"color", "colour", "rgb", "bgr"}
+
+
+@dataclass(frozen=True)
+class StereoTopics:
+    """Topics of one stereo rig; an info is None where there is none.
+
+    Attributes:
+        compressed: the images are sensor_msgs/CompressedImage.
+        rectified: the names say that the images are rectified already.
+    """
+
+    left_image: str
+    right_image: str
+    left_info: str | None
+    right_info: str | None
+    compressed: bool
+    rectified: bool
+
+
+def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right: str | None = None) -> StereoTopics:
+    """The stereo pair among ``topics``.
+
+    Two image topics of one type make a pair when their names differ only in words that name an eye: left and right,
+    l and r, or numbers n and n + 1. Among several pairs the one with camera infos wins, then raw before rectified, grey
+    before colour, uncompressed before compressed.
+
+    Args:
+        topics: message type per topic name.
+        left, right: names of the image topics where they are known.
+
+    Raises:
+        TopicError: no pair, several equally good ones, equal names, a name that is not there or not an image.
+    """
+    if left is not None and left == right:
+        raise TopicError(f"left and right are the same topic {left}: {_REMEDY} one topic per eye")
+    images = {name: kind for name, kind in topics.items() if kind in (_RAW, _COMPRESSED)}
+    for name in (left, right):
+        _check_image(name, topics, images)
+    if left is not None and right is not None:
+        return _checked_pair(left, right, topics)
+    candidates = [
+        _stereo_topics(one, other, topics)
+        for one, other in _eye_pairs(images)
+        if images[one] == images[other] and left in (None, one) and right in (None, other)
+    ]
+    return _best(candidates, images, left or right)
+
+
+def _check_image(name: str | None, topics: Mapping[str, str], images: Mapping[str, str]) -> None:
+    if name is None or name in images:
+        return
+    if name in topics:
+        raise TopicError(f"topic {name} is {topics[name]}, not an image: choose among {_listed(images)}")
+    raise TopicError(f"no topic {name}: image topics are {_listed(images)}")
+
+
+def _checked_pair(left: str, right: str, topics: Mapping[str, str]) -> StereoTopics:
+    if topics[left] != topics[right]:
+        raise TopicError(
+            f"left {left} is {topics[left]} and right {right} is {topics[right]}: choose two topics of one type"
+        )
+    return _stereo_topics(left, right, topics)
+
+
+def _best(candidates: list[StereoTopics], images: Mapping[str, str], given: str | None) -> StereoTopics:
+    ranked = sorted(candidates, key=_rank)
+    if not ranked:
+        wanted = f"no partner for {given}" if given else "no stereo pair"
+        raise TopicError(f"{wanted} among the image topics {_listed(images)}: {_REMEDY}")
+    equal = [pair for pair in ranked if _rank(pair) == _rank(ranked[0])]
+    if len(equal) > 1:
+        pairs = "; ".join(f"{pair.left_image} with {pair.right_image}" for pair in equal)
+        raise TopicError(f"{len(equal)} stereo pairs are equally good ({pairs}): {_REMEDY}")
+    return ranked[0]
+
+
+def _rank(pair: StereoTopics) -> tuple[bool, bool, bool, bool]:
+    color = bool(_COLOR & set(_words(pair.left_image)))
+    return (pair.left_info is None or pair.right_info is None, pair.rectified, color, pair.compressed)
+
+
+def _stereo_topics(left: str, right: str, topics: Mapping[str, str]) -> StereoTopics:
+    left_info, right_info = _infos(left, right, topics)
+    return StereoTopics(
+        left_image=left,
+        right_image=right,
+        left_info=left_info,
+        right_info=right_info,
+        compressed=topics[left] == _COMPRESSED,
+        rectified=bool(_RECTIFIED & set(_words(left))),
+    )
+
+
+def _infos(left: str, right: str, topics: Mapping[str, str]) -> tuple[str | None, str | None]:
+    """Siblings of the images where there are any, else the pair of infos whose names begin most like the images'.
+
+    The sibling of another image is that one's: a wrong calibration would give a plausible wrong depth.
+    """
+    infos = [name for name, kind in topics.items() if kind == _INFO]
+    siblings = _sibling(left, infos), _sibling(right, infos)
+    if None not in siblings and siblings[0] != siblings[1]:
+        return siblings
+
+    def likeness(pair: tuple[str, str]) -> int:
+        return _common_words(pair[0], left) + _common_words(pair[1], right)
+
+    taken = {_sibling(name, infos) for name, kind in topics.items() if kind in (_RAW, _COMPRESSED)}
+    pairs = sorted(_eye_pairs(set(infos) - taken), key=likeness, reverse=True)
+    if pairs and (len(pairs) == 1 or likeness(pairs[0]) > likeness(pairs[1])):
+        return pairs[0]
+    return None, None
+
+
+def _sibling(image: str, infos: list[str]) -> str | None:
+    """``camera_info`` in the namespace of the image, or of the image that a transport's topic belongs to."""
+    namespace = image.rpartition("/")[0]
+    for parent in (namespace, namespace.rpartition("/")[0]):
+        if f"{parent}/camera_info" in infos:
+            return f"{parent}/camera_info"
+    return None
+
+
+def _eye_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
+    return [pair for pair in itertools.permutations(sorted(names), 2) if _is_eye_pair(*pair)]
+
+
+def _is_eye_pair(left: str, right: str) -> bool:
+    left_words, right_words = _words(left), _words(right)
+    if len(left_words) != len(right_words):
+        return False
+    different = [(a, b) for a, b in zip(left_words, right_words, strict=True) if a != b]
+    return bool(different) and all(_are_eyes(a, b) for a, b in different)
+
+
+def _are_eyes(left: str, right: str) -> bool:
+    if left.isdigit() and right.isdigit():
+        return int(right) == int(left) + 1
+    return (left, right) == ("l", "r") or ("left" in left and left.replace("left", "right") == right)
+
+
+def _common_words(one: str, other: str) -> int:
+    pairs = zip(_words(one), _words(other), strict=False)
+    return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+
+def _words(name: str) -> list[str]:
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"

@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Writes an MCAP bag that rosbag2 and Foxglove read; it gets its final name only when it is complete."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import TypesysError
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.core.errors import BagError
+
+__all__ = ["BagWriter"]
+
+_COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+
+
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+# Keep the last one, reliable, transient local, in the numbers of rmw, as rosbag2 writes it
+_LATCHED = f"""\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {_FOREVER}
+  lifespan: {_FOREVER}
+  liveliness: 1
+  liveliness_lease_duration: {_FOREVER}
+  avoid_ros_namespace_conventions: false
+"""
+
+
+class BagWriter:
+    """One MCAP file, profile ``ros2``: CDR messages, ``ros2msg`` schemas with every nested definition.
+
+    While it is written the bag is called ``NAME.partial.mcap``; :meth:`close` renames it. When the ``with`` block ends
+    in an exception, what was written stays readable under the partial name and the final name is not touched.
+
+    Args:
+        path: file to make, must end in ``.mcap``; folders above it are made.
+        compression: of the chunks: "zstd", "lz4" or "none".
+        chunk_size: bytes of messages per chunk before compression; about this much is lost when the process is killed.
+        overwrite: replace an existing file.
+
+    Raises:
+        BagError: wrong suffix, unknown compression, the file exists and ``overwrite`` is false, or it cannot be made.
+    """
+
+    def __init__(
+        self, path: Path, *, compression: str = "zstd", chunk_size: int = 4 * 1024 * 1024, overwrite: bool = False
+    ) -> None:
+        if compression not in _COMPRESSIONS:
+            raise BagError(f"compression {compression!r} is none of {', '.join(_COMPRESSIONS)}: take one of them")
+        if path.suffix != ".mcap":
+            raise BagError(f"cannot write {path}: bags are written as MCAP, let the name end in .mcap")
+        if path.exists() and not overwrite:
+            raise BagError(f"{path} exists: remove it, take another name, or ask for it to be overwritten")
+        self.path = path
+        self.message_count = 0
+        self._partial = path.with_suffix(".partial.mcap")
+        self._types = RosbagsTypes()
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, tuple[str, int]] = {}
+        self._sequences: dict[int, int] = {}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._partial.open("wb")
+        except OSError as error:
+            raise BagError(f"cannot write {path}: {error.strerror}") from error
+        self._writer = Writer(self._file, chunk_size=chunk_size, compression=_COMPRESSIONS[compression])
+        self._writer.start(profile="ros2", library="stereo_depth_ros")
+
+    def write_raw(
+        self,
+        topic: str,
+        msgtype: str,
+        cdr: bytes,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+        latched: bool = False,
+    ) -> None:
+        """Write a serialised message; ``publish_time_ns`` is the log time where it is not given.
+
+        A topic whose first message is ``latched`` is played to subscribers that come late, too.
+
+        Raises:
+            BagError: the type has no known definition, or the topic already carries another type.
+        """
+        channel = self._channel(topic, msgtype, latched)
+        sequence = self._sequences[channel] = self._sequences.get(channel, 0) + 1
+        publish_time = log_time_ns if publish_time_ns is None else publish_time_ns
+        self._writer.add_message(channel, log_time_ns, cdr, publish_time, sequence)
+        self.message_count += 1
+
+    def write(self, topic: str, message: Any, stamp_ns: int) -> None:
+        """Serialise and write a rosbags message object, logged at ``stamp_ns``."""
+        self.write_raw(topic, message.__msgtype__, self._types.serialize(message), stamp_ns)
+
+    def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a record of names and values beside the messages: what was used to make them."""
+        self._writer.add_metadata(name, dict(values))
+
+    def close(self) -> None:
+        """Finish the bag and give it its final name; a second call does nothing."""
+        if self._finish():
+            self._partial.replace(self.path)
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        elif self._finish() and not self.message_count:
+            self._partial.unlink()
+
+    def _finish(self) -> bool:
+        if self._file.closed:
+            return False
+        with self._file:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        return True
+
+    def _channel(self, topic: str, msgtype: str, latched: bool) -> int:
+        if topic not in self._channels:
+            schema = self._schema(msgtype)
+            # rosbag2 reads both keys; without a profile it plays with its default QoS
+            metadata = {
+                "offered_qos_profiles": _LATCHED if latched else "",
+                "topic_type_hash": self._types.typestore.hash_rihs01(msgtype),
+            }
+            self._channels[topic] = (msgtype, self._writer.register_channel(topic, "cdr", schema, metadata))
+        known_type, channel = self._channels[topic]
+        if known_type != msgtype:
+            raise BagError(f"topic {topic} carries {known_type}, not {msgtype}: write {msgtype} on a topic of its own")
+        return channel
+
+    def _schema(self, msgtype: str) -> int:
+        if msgtype not in self._schemas:
+            try:
+                definition, _ = self._types.typestore.generate_msgdef(msgtype, ros_version=2)
+            except TypesysError as error:
+                raise BagError(
+                    f"no definition of message type {msgtype!r}: only types of ROS 2 Jazzy are written to {self.path}"
+                ) from error
+            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition.encode())
+        return self._schemas[msgtype]

@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: one frozen dataclass per stage and per matching method; everything that knows a parameter reads them."""
+
+from stereo_depth_ros.config.matching import MatchingConfig
+from stereo_depth_ros.config.parameter import ParameterInfo, parameter_infos, replace_checked, unknown_parameter
+from stereo_depth_ros.config.stages import (
+    CONFIGS,
+    CalibrationConfig,
+    CloudConfig,
+    DepthConfig,
+    HealthConfig,
+    PairingConfig,
+    PipelineConfig,
+)
+
+__all__ = [
+    "CONFIGS",
+    "CalibrationConfig",
+    "CloudConfig",
+    "DepthConfig",
+    "HealthConfig",
+    "MatchingConfig",
+    "PairingConfig",
+    "ParameterInfo",
+    "PipelineConfig",
+    "parameter_infos",
+    "replace_checked",
+    "unknown_parameter",
+]

@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A camera from the fields of a CameraInfo message, of whatever family."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
+
+__all__ = ["camera_from_info", "sensor_intrinsics"]
+
+
+def camera_from_info(info: Any, topic: str = "") -> CameraModel:
+    """The camera of a sensor_msgs/CameraInfo, for the image as it is sent.
+
+    The region of interest shifts the principal points of K and P, then binning divides both, as in image_geometry:
+    column 0 of an image is column ``roi.x_offset`` of the sensor. A region without size is the whole sensor, binning 0
+    is 1, ``roi.do_rectify`` is not read.
+
+    Args:
+        info: the message, of any family.
+        topic: its topic, for error messages.
+
+    Raises:
+        CalibrationError: a region of interest that leaves the sensor.
+    """
+    width, height, to_image = _sent_image(info, topic)
+    return CameraModel(
+        width=width,
+        height=height,
+        distortion_model=info.distortion_model,
+        K=to_image @ np.reshape(info.k, (3, 3)),
+        D=np.array(info.d),
+        R=np.reshape(info.r, (3, 3)),
+        P=to_image @ np.reshape(info.p, (3, 4)),
+        frame_id=info.header.frame_id,
+    )
+
+
+def sensor_intrinsics(K: F64, info: Any, topic: str = "") -> F64:
+    """The K to write into a camera info from which :func:`camera_from_info` then makes this one.
+
+    Args:
+        K: float64 (3, 3), intrinsics of the image as it is sent, px.
+        info: the message with the region of interest and the binning, of any family; its K is not read.
+        topic: its topic, for error messages.
+
+    Returns:
+        float64 (3, 3), intrinsics of the whole sensor before binning, px.
+
+    Raises:
+        CalibrationError: a region of interest that leaves the sensor.
+    """
+    K_sensor: F64 = np.linalg.solve(_sent_image(info, topic)[2], K).astype(np.float64)
+    return K_sensor
+
+
+def _sent_image(info: Any, topic: str) -> tuple[int, int, F64]:
+    """Width and height of the image as it is sent, px, and the float64 (3, 3) from sensor pixels to its pixels."""
+    roi = info.roi
+    whole = roi.width == 0 and roi.height == 0
+    x, y, width, height = (0, 0, info.width, info.height) if whole else _region(info, topic)
+    binning_x, binning_y = max(info.binning_x, 1), max(info.binning_y, 1)
+    to_image = np.array([[1 / binning_x, 0, -x / binning_x], [0, 1 / binning_y, -y / binning_y], [0, 0, 1]])
+    return width // binning_x, height // binning_y, to_image
+
+
+def _region(info: Any, topic: str) -> tuple[int, int, int, int]:
+    roi = info.roi
+    right, bottom = roi.x_offset + roi.width, roi.y_offset + roi.height
+    if roi.width == 0 or roi.height == 0 or right > info.width or bottom > info.height:
+        raise CalibrationError(
+            f"{topic or 'camera info'}: roi {roi.width}x{roi.height} at ({roi.x_offset}, {roi.y_offset}) is not inside "
+            f"the sensor of {info.width}x{info.height}: set width and height of the full resolution, before binning"
+        )
+    return roi.x_offset, roi.y_offset, roi.width, roi.height

@@ -1,0 +1,288 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Two cameras and the rig they form: what makes it usable, its baseline and its reprojection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.core.camera import CameraModel, check_intrinsics, check_rectification, check_rotation
+from stereo_depth_ros.core.camera_info import camera_from_info
+from stereo_depth_ros.core.camera_yaml import read_camera
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.types import F64
+
+__all__ = ["StereoRig"]
+
+MIN_BASELINE_M, MAX_BASELINE_M = 1e-3, 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRig:
+    """Left and right camera after rectification: same rows, the right eye to the right by the baseline.
+
+    Attributes:
+        left, right: the cameras; the left one is the reference.
+        topics: where each came from, for the messages of errors.
+
+    Raises:
+        CalibrationError: the matrices cannot be those of a rectified pair.
+    """
+
+    left: CameraModel
+    right: CameraModel
+    topics: tuple[str, str] = ("left", "right")
+
+    metric = True
+
+    def __post_init__(self) -> None:
+        for camera, label in zip((self.left, self.right), self._labels(), strict=True):
+            check_intrinsics(camera, label)
+            check_rectification(camera, label)
+        _check_pair(self.left, self.right, *self._labels())
+
+    @classmethod
+    def from_infos(cls, left_info: Any, right_info: Any, topics: tuple[str, str] = ("left", "right")) -> StereoRig:
+        """From two ``sensor_msgs/CameraInfo`` messages, or objects with the same fields."""
+        return cls(camera_from_info(left_info, topics[0]), camera_from_info(right_info, topics[1]), topics)
+
+    @classmethod
+    def from_yaml(cls, left_path: str | Path, right_path: str | Path) -> StereoRig:
+        """From the two files that ``camera_calibration`` writes."""
+        return cls(read_camera(left_path), read_camera(right_path), (str(left_path), str(right_path)))
+
+    @classmethod
+    def from_calibration(
+        cls,
+        K_left: npt.ArrayLike,
+        D_left: npt.ArrayLike,
+        K_right: npt.ArrayLike,
+        D_right: npt.ArrayLike,
+        R: npt.ArrayLike,
+        T: npt.ArrayLike,
+        size: tuple[int, int],
+        distortion_model: str = "plumb_bob",
+        frame_id: str = "left_optical_frame",
+        alpha: float = 0.0,
+    ) -> StereoRig:
+        """From a calibration that has not been rectified, through OpenCV's ``stereoRectify``.
+
+        Args:
+            K_left, K_right: (3, 3), px.
+            D_left, D_right: coefficients of ``distortion_model``.
+            R, T: (3, 3) and (3,) in metres, with X_right = R X_left + T.
+            size: width, height of both images, px.
+            alpha: 0 shows only pixels that have a source, 1 all source pixels.
+        """
+        bare = np.eye(3, 4)
+        left = CameraModel(*size, distortion_model, _array(K_left), _array(D_left), np.eye(3), bare, frame_id)
+        right = CameraModel(*size, distortion_model, _array(K_right), _array(D_right), np.eye(3), bare, frame_id)
+        check_intrinsics(left, "left camera")
+        check_intrinsics(right, "right camera")
+        check_rotation(_array(R).reshape(3, 3), "R from the left to the right camera")
+        _check_baseline(float(np.linalg.norm(_array(T))), "T from the left to the right camera")
+        R_left, R_right, P_left, P_right = _rectify(left, right, _array(R), _array(T), alpha)
+        return cls(replace(left, R=R_left, P=P_left), replace(right, R=R_right, P=P_right))
+
+    @classmethod
+    def from_rectified(
+        cls,
+        fx: float,
+        fy: float,
+        cx_left: float,
+        cx_right: float,
+        cy: float,
+        baseline_m: float,
+        size: tuple[int, int],
+        frame_id: str = "left_optical_frame",
+    ) -> StereoRig:
+        """A rig whose images are rectified already; focal lengths and principal points in px, size (width, height)."""
+
+        def camera(cx: float, baseline_m: float) -> CameraModel:
+            P = np.array([[fx, 0, cx, -fx * baseline_m], [0, fy, cy, 0], [0, 0, 1, 0]])
+            return CameraModel(*size, "plumb_bob", P[:, :3], np.zeros(5), np.eye(3), P, frame_id)
+
+        return cls(camera(cx_left, 0.0), camera(cx_right, baseline_m))
+
+    @property
+    def width(self) -> int:
+        """Width of both images, px."""
+        return self.left.width
+
+    @property
+    def height(self) -> int:
+        """Height of both images, px."""
+        return self.left.height
+
+    @property
+    def frame_id(self) -> str:
+        """Optical frame of the left camera, the frame of all depth."""
+        return self.left.frame_id
+
+    @property
+    def f_px(self) -> float:
+        """Horizontal focal length of the rectified images, px."""
+        return float(self.right.P[0, 0])
+
+    @property
+    def fy_px(self) -> float:
+        """Vertical focal length of the rectified images, px."""
+        return float(self.right.P[1, 1])
+
+    @property
+    def cx_left(self) -> float:
+        """Column of the left principal point, px."""
+        return float(self.left.P[0, 2])
+
+    @property
+    def cx_right(self) -> float:
+        """Column of the right principal point, px."""
+        return float(self.right.P[0, 2])
+
+    @property
+    def cy(self) -> float:
+        """Row of both principal points, px."""
+        return float(self.left.P[1, 2])
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance of the two optical centres, metres, positive."""
+        return float(-self.right.P[0, 3] / self.right.P[0, 0])
+
+    @property
+    def doffs_px(self) -> float:
+        """Disparity of a point at infinity: cx_left - cx_right, px."""
+        return self.cx_left - self.cx_right
+
+    @property
+    def Q(self) -> F64:  # noqa: N802
+        """float64 (4, 4): (x, y, d, 1) with d = x_left - x_right to homogeneous metres; Z = f B / (d - doffs)."""
+        aspect = self.f_px / self.fy_px
+        return np.array(
+            [
+                [1.0, 0.0, 0.0, -self.cx_left],
+                [0.0, aspect, 0.0, -self.cy * aspect],
+                [0.0, 0.0, 0.0, self.f_px],
+                [0.0, 0.0, 1.0 / self.baseline_m, -self.doffs_px / self.baseline_m],
+            ]
+        )
+
+    def check_image(self, width: int, height: int, topic: str) -> None:
+        """Refuses an image that has another size than the camera infos say.
+
+        Raises:
+            CalibrationError: the sizes differ.
+        """
+        if (width, height) != (self.width, self.height):
+            raise CalibrationError(
+                f"{topic}: the image is {width}x{height}, its camera info is for {self.width}x{self.height}: calibrate "
+                "at this resolution, or set binning and roi of the camera info"
+            )
+
+    def check_eye(self, eye: str, frame_id: str, topic: str) -> None:
+        """Refuses an image of one eye that carries the frame of the other eye.
+
+        Args:
+            eye: "left" or "right".
+            frame_id: of the image.
+
+        Raises:
+            CalibrationError: the image is the other eye's.
+        """
+        own, other = (self.left, self.right) if eye == "left" else (self.right, self.left)
+        if frame_id and frame_id != own.frame_id and frame_id == other.frame_id:
+            raise CalibrationError(
+                f"{topic}: frame_id is {frame_id!r}, the frame of the other eye, here it is {own.frame_id!r}: "
+                "eyes are swapped, exchange the image topics of left and right"
+            )
+
+    def _labels(self) -> tuple[str, str]:
+        left, right = self.topics
+        return (
+            "left camera" if left == "left" else f"left camera ({left})",
+            "right camera" if right == "right" else f"right camera ({right})",
+        )
+
+
+def _array(values: npt.ArrayLike) -> F64:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _rectify(left: CameraModel, right: CameraModel, R: F64, T: F64, alpha: float) -> tuple[F64, F64, F64, F64]:
+    """R and P of both eyes by Bouguet's method: half the rotation each, then rows along the baseline."""
+    size = (left.width, left.height)
+    R, T = R.reshape(3, 3), T.reshape(3, 1)
+    flags = cv2.CALIB_ZERO_DISPARITY
+    if left.distortion_model == "equidistant":
+        fisheye = cv2.fisheye.stereoRectify(left.K, left.D, right.K, right.D, size, R, T, flags, balance=alpha)
+        return fisheye[0], fisheye[1], fisheye[2], fisheye[3]
+    D_left, D_right = (camera.D if camera.D.size else np.zeros(5) for camera in (left, right))
+    pinhole = cv2.stereoRectify(left.K, D_left, right.K, D_right, size, R, T, flags=flags, alpha=alpha)
+    return pinhole[0], pinhole[1], pinhole[2], pinhole[3]
+
+
+def _check_baseline(baseline_m: float, label: str) -> None:
+    if not MIN_BASELINE_M <= baseline_m <= MAX_BASELINE_M:
+        raise CalibrationError(
+            f"{label}: baseline {baseline_m:g} m is outside {MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m: "
+            "units are metres, it was probably written in millimetres or as a ratio; P[0,3] is -fx * baseline"
+        )
+
+
+def _check_pair(left: CameraModel, right: CameraModel, left_label: str, right_label: str) -> None:
+    if (left.width, left.height) != (right.width, right.height):
+        raise CalibrationError(
+            f"{left_label} is {left.width}x{left.height}, {right_label} is {right.width}x{right.height}: "
+            "a pair has one size, set both cameras to the same resolution"
+        )
+    _check_left_is_reference(left, left_label)
+    _check_rows_agree(left.P, right.P, left_label, right_label)
+    _check_right_is_right(right.P, right_label)
+
+
+def _check_left_is_reference(left: CameraModel, label: str) -> None:
+    offset_m = np.abs(left.P[:2, 3] / left.P[0, 0]).max()
+    if offset_m > 1e-6:
+        raise CalibrationError(
+            f"{label}: P[:2, 3] = {left.P[:2, 3].tolist()}, it is 0 for the left camera, the reference: "
+            "left and right are probably swapped, exchange the topics"
+        )
+
+
+def _check_rows_agree(P_left: F64, P_right: F64, left_label: str, right_label: str) -> None:
+    for name, at, limit in (
+        ("fx", (0, 0), 1e-3 * P_left[0, 0]),
+        ("fy", (1, 1), 1e-3 * P_left[1, 1]),
+        ("cy", (1, 2), 0.01),
+    ):
+        if abs(P_left[at] - P_right[at]) > limit:
+            raise CalibrationError(
+                f"{name} of P is {P_left[at]:.6g} px in {left_label} and {P_right[at]:.6g} px in {right_label}, limit "
+                f"{limit:.3g} px apart: a rectified pair has the same rows, calibrate both cameras together"
+            )
+
+
+def _check_right_is_right(P: F64, label: str) -> None:
+    baseline_m, vertical_m = -P[0, 3] / P[0, 0], P[1, 3] / P[1, 1]
+    if abs(vertical_m) > 1e-6:
+        raise CalibrationError(
+            f"{label}: P[1,3] = {P[1, 3]:g} is a vertical baseline of {vertical_m:g} m, it is 0 for eyes side by side: "
+            "rotate the images by 90 degrees and calibrate them as left and right"
+        )
+    if P[0, 3] > 0:
+        raise CalibrationError(
+            f"{label}: P[0,3] = {P[0, 3]:g} is positive, it is -fx * baseline and below 0: "
+            "left and right are probably swapped (exchange the topics), or the sign is wrong"
+        )
+    if P[0, 3] == 0:
+        raise CalibrationError(
+            f"{label}: P[0,3] = 0 is no baseline, it is -fx * baseline and below 0: "
+            "calibrate both cameras together as a stereo pair"
+        )
+    _check_baseline(baseline_m, label)

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""EuRoC MAV sequences in the ASL layout: raw, distorted pairs of cam0 and cam1.
+
+Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.datasets.dataset import DatasetFrame
+from stereo_depth_ros.datasets.image_files import check_sizes, read_frame
+
+__all__ = ["EurocDataset"]
+
+
+class EurocDataset:
+    """A sequence; the pairs are those with equal stamps in both cameras, ``left_out`` counts the images without one.
+
+    Args:
+        folder: what holds ``mav0``, or ``mav0`` itself.
+
+    Raises:
+        BagError: not this layout, or a file that cannot be read.
+        CalibrationError: a calibration that does not fit the images.
+    """
+
+    has_stamps = True
+
+    def __init__(self, folder: Path) -> None:
+        root = folder / "mav0" if (folder / "mav0").is_dir() else folder
+        if missing := [name for name in ("cam0", "cam1") if not (root / name / "data.csv").exists()]:
+            raise BagError(f"{folder} is not an EuRoC sequence: no {', '.join(f'mav0/{x}/data.csv' for x in missing)}")
+        left, right = _read_index(root / "cam0"), _read_index(root / "cam1")
+        self._pairs = [(stamp, left[stamp], right[stamp]) for stamp in sorted(left.keys() & right.keys())]
+        self.left_out = len(left.keys() ^ right.keys())
+        if not self._pairs:
+            raise BagError(f"{folder}: none of {len(left)} left and {len(right)} right images have equal stamps")
+        self.rig = _rig(root / "cam0" / "sensor.yaml", root / "cam1" / "sensor.yaml")
+        check_sizes(self.rig, self._pairs[0][1])
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __iter__(self) -> Iterator[DatasetFrame]:
+        for stamp_ns, left, right in self._pairs:
+            yield DatasetFrame(read_frame(left, self.rig.left, stamp_ns), read_frame(right, self.rig.right, stamp_ns))
+
+
+def _read_index(camera: Path) -> dict[int, Path]:
+    """Image per stamp in nanoseconds; rows whose image is not there, as in an excerpt, are skipped."""
+    with (camera / "data.csv").open(newline="") as file:
+        rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+    try:
+        images = {int(row[0]): camera / "data" / row[1].strip() for row in rows}
+    except (ValueError, IndexError) as error:
+        raise BagError(f"{camera / 'data.csv'} is not rows of stamp and file name: {error}") from error
+    return {stamp_ns: path for stamp_ns, path in images.items() if path.exists()}
+
+
+def _rig(left: Path, right: Path) -> StereoRig:
+    cameras = [_read_sensor(path) for path in (left, right)]
+    (K_left, D_left, T_body_left, size), (K_right, D_right, T_body_right, _) = cameras
+    T_right_left = np.linalg.inv(T_body_right) @ T_body_left
+    return StereoRig.from_calibration(K_left, D_left, K_right, D_right, T_right_left[:3, :3], T_right_left[:3, 3], size)
+
+
+def _read_sensor(path: Path) -> tuple[F64, F64, F64, tuple[int, int]]:
+    """K (3, 3), D (4,), T_body_camera (4, 4), size of a sensor.yaml."""
+    try:
+        # "%YAML:1.0", OpenCV's first line, is not YAML
+        rows = [row for row in path.read_text().splitlines() if not row.startswith("%")]
+        sensor: dict[str, Any] = YAML(typ="safe").load("\n".join(rows))
+        fx, fy, cx, cy = sensor["intrinsics"]
+        model = sensor["distortion_model"]
+        T_body_camera = np.array(sensor["T_BS"]["data"], np.float64).reshape(4, 4)
+        D = np.array(sensor["distortion_coefficients"], np.float64)
+        width, height = sensor["resolution"]
+    except (OSError, YAMLError, KeyError, TypeError, ValueError) as error:
+        raise BagError(f"{path} is not an EuRoC camera: {error!r}") from error
+    if model != "radial-tangential":
+        raise BagError(f"{path}: distortion_model {model!r} is not read, it takes radial-tangential")
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64), D, T_body_camera, (width, height)

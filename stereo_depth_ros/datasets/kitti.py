@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""KITTI: odometry sequences, stereo 2012 and 2015, and raw drives, rectified or not.
+
+Geiger et al., "Vision meets robotics: the KITTI dataset", IJRR 2013.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F32, F64
+from stereo_depth_ros.datasets.dataset import DatasetFrame
+from stereo_depth_ros.datasets.image_files import list_images, read_frame, read_image, read_picture
+from stereo_depth_ros.datasets.kitti_stamps import frame_numbers, read_stamps
+
+__all__ = ["KittiDataset", "read_calibration", "read_truth", "rig_from_calibration"]
+
+# folders of left and right images, and the numbers of the two cameras
+_LAYOUTS = (
+    ("image_l", "image_r", 0, 1),
+    ("image_0", "image_1", 0, 1),
+    ("image_2", "image_3", 2, 3),
+    ("image_00/data", "image_01/data", 0, 1),
+    ("image_02/data", "image_03/data", 2, 3),
+)
+_TRUTH_FOLDERS = ("disp_occ_0", "disp_occ")
+
+
+class KittiDataset:
+    """A sequence, or the training pairs of a stereo benchmark.
+
+    The stereo benchmarks have a calibration file per pair; the pairs that share the calibration of the first one are
+    read, ``left_out`` counts the others. Stamps go by the frame numbers in the names, so that excerpts keep theirs.
+
+    Args:
+        folder: what holds ``image_0`` and ``image_1`` (or ``image_2``/``image_3``, ``image_l``/``image_r``,
+            ``image_00/data``/``image_01/data``).
+
+    Raises:
+        BagError: no known layout, no calibration, a name that is no frame number, or a file that cannot be read.
+        CalibrationError: a calibration that does not fit the images.
+    """
+
+    has_stamps = True
+
+    def __init__(self, folder: Path) -> None:
+        left, right, *cameras = next((x for x in _LAYOUTS if (folder / x[0]).is_dir()), _LAYOUTS[0])
+        self.folder = folder
+        numbers = frame_numbers(list_images(folder / left))
+        names = [name for name in numbers if (folder / right / name).exists()]
+        if not names:
+            raise BagError(f"{folder} is not a KITTI folder: it has no pairs in image_0 and image_1 or the like")
+        calibrations = {name: _find_calibration(folder, name) for name in names}
+        first = calibrations[names[0]].read_bytes()
+        kept = [name for name in names if calibrations[name].read_bytes() == first]
+        self.left_out = len(names) - len(kept)
+        self._pairs = [(folder / left / name, folder / right / name) for name in kept]
+        self._stamps = read_stamps(folder, Path(left).parent, numbers, names)
+        height, width = read_image(self._pairs[0][0]).shape[:2]
+        calibration = read_calibration(calibrations[names[0]])
+        self.rig = rig_from_calibration(calibration, (cameras[0], cameras[1]), (width, height))
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __iter__(self) -> Iterator[DatasetFrame]:
+        for left, right in self._pairs:
+            stamp_ns = self._stamps[left.name]
+            yield DatasetFrame(
+                read_frame(left, self.rig.left, stamp_ns),
+                read_frame(right, self.rig.right, stamp_ns),
+                self._truth(left.name),
+            )
+
+    def _truth(self, name: str) -> F32 | None:
+        path = next((self.folder / x / name for x in _TRUTH_FOLDERS if (self.folder / x / name).exists()), None)
+        return None if path is None else read_truth(path)
+
+
+def read_calibration(path: Path) -> dict[str, F64]:
+    """The numbers of a calibration file by name; rows without names are P0, P1, ...
+
+    Raises:
+        BagError: a row that is not numbers.
+    """
+    values: dict[str, F64] = {}
+    for row in path.read_text().splitlines():
+        name, colon, numbers = row.rpartition(":")
+        if not row.strip() or name == "calib_time" or row.startswith("calib_time"):
+            continue
+        try:
+            values[name.strip() if colon else f"P{len(values)}"] = np.array(numbers.split(), np.float64)
+        except ValueError as error:
+            raise BagError(f"{path} is not a KITTI calibration, row {row[:40]!r}: {error}") from error
+    return values
+
+
+def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size: tuple[int, int]) -> StereoRig:
+    """The rig of two cameras.
+
+    Images of the size S_rect, and all of odometry, are rectified; images of the size S are raw and have K, D, R_rect.
+    The rows of the colour cameras are aligned; the millimetres that their P has vertically are left out.
+
+    Args:
+        values: what :func:`read_calibration` gives.
+        cameras: numbers of the left and the right camera.
+        size: width, height of the images, px.
+
+    Raises:
+        BagError: the calibration lacks these cameras.
+        CalibrationError: it cannot be that of a rectified pair.
+    """
+    left, right = cameras
+    try:
+        P_left, P_right = (_projection(values, camera) for camera in cameras)
+    except KeyError as error:
+        raise BagError(f"the KITTI calibration has no {error.args[0]}: it has {', '.join(values)}") from error
+    baseline_m = (P_left[0, 3] - P_right[0, 3]) / P_left[0, 0]
+    rig = StereoRig.from_rectified(
+        P_left[0, 0], P_left[1, 1], P_left[0, 2], P_right[0, 2], P_left[1, 2], baseline_m, size
+    )
+    raw_size = values.get(f"S_{left:02d}")
+    if raw_size is None or tuple(raw_size.astype(int)) != size:
+        return rig
+    return StereoRig(_raw_camera(values, left, rig.left), _raw_camera(values, right, rig.right))
+
+
+def _projection(values: dict[str, F64], camera: int) -> F64:
+    name = f"P{camera}" if f"P{camera}" in values else f"P_rect_{camera:02d}"
+    return values[name].reshape(3, 4)
+
+
+def _raw_camera(values: dict[str, F64], camera: int, rectified: CameraModel) -> CameraModel:
+    K, D, R = (values[f"{name}_{camera:02d}"] for name in ("K", "D", "R_rect"))
+    return CameraModel(
+        rectified.width,
+        rectified.height,
+        "plumb_bob",
+        K.reshape(3, 3),
+        D,
+        R.reshape(3, 3),
+        rectified.P,
+        rectified.frame_id,
+    )
+
+
+def _find_calibration(folder: Path, image: str) -> Path:
+    """Of the sequence, of the pair (its name without the number of the frame), or of the drive's day."""
+    pair = image.partition("_")[0].partition(".")[0] + ".txt"
+    places = [
+        folder / "calib.txt",
+        folder / "calib_cam_to_cam.txt",
+        folder / "calib_cam_to_cam" / pair,
+        folder / "calib" / pair,
+        folder.parent / "calib_cam_to_cam.txt",
+    ]
+    for place in places:
+        if place.exists():
+            return place
+    raise BagError(f"no calibration for {folder}: put calib.txt or calib_cam_to_cam.txt there")
+
+
+def read_truth(path: Path) -> F32:
+    """True disparities of the stereo benchmarks, float32 (H, W), px, NaN where unknown.
+
+    The 16-bit pictures hold 256 levels a pixel, 0 is unknown.
+
+    Raises:
+        BagError: not a readable 16-bit picture.
+    """
+    picture = read_picture(path)
+    if picture.dtype != np.uint16:
+        raise BagError(f"{path} is {picture.dtype}, KITTI's disparities are uint16: copy it again")
+    return np.where(picture > 0, picture.astype(np.float32) / 256, np.float32(np.nan))

@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Middlebury stereo scenes of 2001 to 2014, and ETH3D two-view scenes, which have the layout of 2014.
+
+Middlebury writes Z = f B / (d + doffs) with doffs = cx_right - cx_left; a rig's ``doffs_px`` is the negative of it.
+Scharstein and Szeliski, "A taxonomy and evaluation of dense two-frame stereo correspondence algorithms", IJCV 2002;
+Scharstein et al., "High-resolution stereo datasets with subpixel-accurate ground truth", GCPR 2014.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.datasets.dataset import DatasetFrame
+from stereo_depth_ros.datasets.image_files import check_sizes, read_frame
+from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene, view_scale
+
+__all__ = ["MiddleburyDataset"]
+
+# published for the scenes of 2005 and 2006 at full size
+_VIEW_FOCAL_PX, _VIEW_BASELINE_M = 3740.0, 0.160
+
+
+class MiddleburyDataset:
+    """One scene: one pair, its truth, its calibration.
+
+    The calibration is that of ``calib.txt``. Scenes of 2005 and 2006 have none, there the published focal length and
+    baseline are used with the scene's ``dmin.txt``. All others need the arguments.
+
+    Args:
+        folder: the scene.
+        calibration_file: a ``calib.txt`` in another place.
+        focal_px, baseline_m: instead of a file; the principal point is then the middle of the left image.
+        doffs: cx_right - cx_left, px, to go with them.
+
+    Raises:
+        BagError: no known layout, or a file that cannot be read.
+        CalibrationError: a calibration that does not fit the images.
+    """
+
+    has_stamps = False
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        calibration_file: Path | None = None,
+        focal_px: float | None = None,
+        baseline_m: float | None = None,
+        doffs: float | None = None,
+    ) -> None:
+        self.scene = MiddleburyScene(folder)
+        width, height = self.scene.size
+        calibration_file = calibration_file or folder / "calib.txt"
+        if focal_px is not None and baseline_m is not None:
+            self.rig = _centred_rig(focal_px, baseline_m, doffs or 0.0, (width, height))
+        elif calibration_file.exists():
+            self.rig = _read_rig(calibration_file, (width, height))
+        else:
+            self.rig = self._published_rig(folder, (width, height), doffs)
+        check_sizes(self.rig, self.scene.right_path)
+
+    def __len__(self) -> int:
+        return 1
+
+    def __iter__(self) -> Iterator[DatasetFrame]:
+        left = read_frame(self.scene.left_path, self.rig.left)
+        right = read_frame(self.scene.right_path, self.rig.right)
+        yield DatasetFrame(left, right, self.scene.truth())
+
+    def _published_rig(self, folder: Path, size: tuple[int, int], doffs: float | None) -> StereoRig:
+        options = "give --focal-px and --baseline-m (and --doffs, where the principal points differ)"
+        if not self.scene.left_path.stem == "view1":
+            raise BagError(f"{folder} has no calib.txt: put the scene's own there, or {options}")
+        scale = view_scale(size[0])
+        dmin = folder / "dmin.txt"
+        if doffs is None and not dmin.exists():
+            raise BagError(
+                f"{folder} has neither calib.txt nor dmin.txt, its depth is not metric: put one there, or {options}"
+            )
+        offset = doffs if doffs is not None else _read_number(dmin) / scale
+        return _centred_rig(_VIEW_FOCAL_PX / scale, _VIEW_BASELINE_M, offset, size)
+
+
+def _centred_rig(focal_px: float, baseline_m: float, doffs: float, size: tuple[int, int]) -> StereoRig:
+    cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
+    return StereoRig.from_rectified(focal_px, focal_px, cx, cx + doffs, cy, baseline_m, size)
+
+
+def _read_rig(path: Path, size: tuple[int, int]) -> StereoRig:
+    """From a calib.txt: cam0, cam1 as [fx 0 cx; 0 fy cy; 0 0 1], baseline in millimetres."""
+    values = dict(line.split("=", 1) for line in path.read_text().splitlines() if "=" in line)
+    try:
+        K_left, K_right = (
+            np.array([row.split() for row in values[name].strip(" []").split(";")], np.float64).reshape(3, 3)
+            for name in ("cam0", "cam1")
+        )
+        baseline_m = float(values["baseline"]) / 1000
+        calibrated = (int(values.get("width", size[0])), int(values.get("height", size[1])))
+    except (KeyError, ValueError) as error:
+        raise BagError(f"{path} is not a Middlebury calibration ({error}): it has cam0, cam1, baseline") from error
+    rig = StereoRig.from_rectified(
+        K_left[0, 0], K_left[1, 1], K_left[0, 2], K_right[0, 2], K_left[1, 2], baseline_m, calibrated
+    )
+    rig.check_image(*size, str(path))
+    return rig
+
+
+def _read_number(path: Path) -> float:
+    try:
+        return float(path.read_text())
+    except ValueError as error:
+        raise BagError(f"{path} does not hold one number: {error}") from error

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a Middlebury (2001 to 2014) or ETH3D two-view scene: images, truth and masks, no calibration."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.types import F32
+from stereo_depth_ros.datasets.image_files import read_image, read_picture
+
+__all__ = ["MiddleburyScene", "view_scale"]
+
+# left, right, truth; the first that is there
+_LAYOUTS = (
+    ("im0.*", "im1.*", "disp0.pfm"),
+    ("im0.*", "im1.*", "disp0GT.pfm"),
+    ("im0.*", "im1.*", None),
+    ("view1.*", "view5.*", "disp1.*"),
+    ("im2.*", "im6.*", "disp2.*"),
+    ("scene1.row3.col3.*", "scene1.row3.col4.*", "truedisp.row3.col3.*"),
+    ("scene1.row3.col3.*", "scene1.row3.col5.*", "truedisp.row3.col3.*"),
+    ("*_left.png", "*_right.png", "*_disp.npz"),
+)
+# 2014 and ETH3D; the second evaluation; 2003. All are white where both eyes see the point.
+_VISIBLE_MASKS = ("mask0nocc.png", "nonocc.png", "occl.png")
+_WHITE = 255
+
+
+class MiddleburyScene:
+    """One pair with what is known of it.
+
+    Args:
+        folder: the scene.
+
+    Attributes:
+        left_path, right_path: the images.
+        truth_path: the true disparities of the left image; None where there are none.
+
+    Raises:
+        BagError: no known layout.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.left_path, self.right_path, self.truth_path = _find_layout(folder)
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the left image, px."""
+        height, width = read_image(self.left_path).shape[:2]
+        return width, height
+
+    def truth(self) -> F32 | None:
+        """float32 (H, W), x_left - x_right, px, NaN where unknown; None where the scene has no truth.
+
+        Raises:
+            BagError: a file that cannot be read.
+        """
+        return None if self.truth_path is None else _read_truth(self.truth_path, self._truth_scale())
+
+    def visible(self) -> npt.NDArray[np.bool_] | None:
+        """bool (H, W), true where the scene's own mask says that both eyes see the point; None without a mask."""
+        path = next((self.folder / name for name in _VISIBLE_MASKS if (self.folder / name).exists()), None)
+        if path is None:
+            return None
+        mask = read_image(path)
+        return np.equal(mask if mask.ndim == 2 else mask[..., 0], _WHITE)
+
+    def _truth_scale(self) -> float:
+        """Grey levels per pixel of disparity, as the dataset's pages give them for each year and size."""
+        width, name = self.size[0], self.left_path.stem
+        if name == "view1":
+            return view_scale(width)
+        if name == "scene1.row3.col3":
+            return 16 if self.right_path.stem.endswith("col4") else 8
+        return {450: 4, 900: 2, 1800: 1}.get(width, 8)  # 2003 has these widths, 2001 smaller ones
+
+
+def view_scale(width: int) -> int:
+    """How many times smaller than full size (about 1240 to 1400 px) an image of 2005 or 2006 is."""
+    return 1 if width > 1000 else 2 if width > 550 else 3
+
+
+def _find_layout(folder: Path) -> tuple[Path, Path, Path | None]:
+    for layout in _LAYOUTS:
+        for scene in _scene_names(folder, layout[0]):
+            left, right, truth = (pattern and _single(folder, scene, pattern) for pattern in layout)
+            if left and right and (truth or not layout[2]):
+                return left, right, truth or None
+    known = "; ".join(f"{left} with {right}" for left, right, _ in dict.fromkeys(_LAYOUTS))
+    raise BagError(f"{folder} is not a Middlebury scene: it holds none of {known}")
+
+
+def _scene_names(folder: Path, left: str) -> list[str]:
+    """What a pattern like *_left.png has in front, which all files of a scene share; nothing for other patterns."""
+    if not left.startswith("*"):
+        return [""]
+    return sorted(path.name.removesuffix(left[1:]) for path in folder.glob(left))
+
+
+def _single(folder: Path, scene: str, pattern: str) -> Path | None:
+    if pattern.startswith("*"):
+        path = folder / (scene + pattern[1:])
+        return path if path.exists() else None
+    return next(iter(sorted(folder.glob(pattern))), None)
+
+
+def _read_truth(path: Path, scale: float) -> F32:
+    """float32 (H, W), NaN where unknown: infinite in .pfm and .npz, 0 in pictures of ``scale`` levels a pixel."""
+    if path.suffix == ".npz":
+        truth = _read_npz(path)
+    else:
+        truth = read_picture(path).astype(np.float32)
+        if path.suffix != ".pfm":
+            truth = np.where(truth > 0, truth / np.float32(scale), np.float32(np.nan))
+    truth[~np.isfinite(truth)] = np.nan
+    return truth
+
+
+def _read_npz(path: Path) -> F32:
+    try:
+        with np.load(path) as arrays:
+            return np.array(arrays[arrays.files[0]], np.float32)
+    except (OSError, ValueError, IndexError, BadZipFile) as error:
+        raise BagError(f"{path} is not a readable array of disparities ({error}): copy it again") from error

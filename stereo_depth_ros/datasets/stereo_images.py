@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pairs of pictures before there is a calibration: image files in a folder, or the raw images of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from stereo_depth_ros.bags.reader import BagMessage, BagReader
+from stereo_depth_ros.bags.topics import find_stereo_topics
+from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.errors import BagError, TopicError
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.pairing import StereoPairing
+from stereo_depth_ros.core.types import U8, Frame
+from stereo_depth_ros.datasets.image_files import read_image
+from stereo_depth_ros.datasets.image_pairs import find_image_pairs
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns
+from stereo_depth_ros.messages.image import decode
+
+__all__ = ["BagPictures", "FolderPictures", "PicturePair", "StereoPictures", "open_pictures"]
+
+_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
+_TOLERANCE_S = 0.005  # eyes that are exposed by one trigger, stamped by two clocks
+
+
+@dataclass(frozen=True)
+class PicturePair:
+    """Pictures of both eyes, uint8 (H, W) grey, not necessarily of one size, and how messages name the pair."""
+
+    name: str
+    left: U8
+    right: U8
+
+
+class StereoPictures(Protocol):
+    """Pairs of pictures.
+
+    Attributes:
+        warnings: what was left out, a sentence each; final when all pairs have been read.
+        dense: a recording, in which one picture is like the next.
+    """
+
+    warnings: list[str]
+    dense: bool
+
+    def __len__(self) -> int:
+        """Number of pairs, or an upper bound of it."""
+
+    def __iter__(self) -> Iterator[PicturePair]:
+        """The pairs in their order."""
+
+
+def open_pictures(place: Path, left: str | None = None, right: str | None = None) -> StereoPictures:
+    """The pairs of a bag or of a folder.
+
+    Args:
+        place: a bag, or a folder of image files.
+        left, right: topics of the bag, or patterns of file names within the folder; None finds them.
+
+    Raises:
+        BagError, TopicError: nothing there, or no pairs.
+    """
+    if not place.exists():
+        raise BagError(f"{place} does not exist: name a folder of pictures, or a bag")
+    is_bag = place.is_file() or any(path.suffix in _BAG_SUFFIXES for path in place.iterdir())
+    return BagPictures(place, left, right) if is_bag else FolderPictures(place, left, right)
+
+
+class FolderPictures:
+    """Image files in a folder or below it, paired by :func:`find_image_pairs`.
+
+    Args:
+        folder: where they are.
+        left, right: patterns such as "a/*.png" and "b/*.png"; None goes by the words for the cameras.
+
+    Raises:
+        BagError: one pattern alone, or what :func:`find_image_pairs` raises.
+    """
+
+    dense = False
+
+    def __init__(self, folder: Path, left: str | None = None, right: str | None = None) -> None:
+        if (left is None) != (right is None):
+            raise BagError("--left or --right alone does not tell the other eye's files: give both patterns, or none")
+        try:
+            found = find_image_pairs(folder, left, right)
+        except BagError as error:
+            raise BagError(f"{error}, or give --left and --right patterns" if left is None else str(error)) from error
+        self._pairs, self.warnings = found.pairs, found.warnings
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __iter__(self) -> Iterator[PicturePair]:
+        for left, right in self._pairs:
+            yield PicturePair(left.name, _gray(left), _gray(right))
+
+
+def _gray(path: Path) -> U8:
+    pixels = read_image(path)
+    return to_gray(Frame(pixels, 0, "", "mono8" if pixels.ndim == 2 else "bgr8"))
+
+
+class BagPictures:
+    """The raw images of a bag, paired by their stamps, which may differ by 5 ms; camera infos are not needed.
+
+    Args:
+        path: the bag.
+        left, right: image topics; None finds them.
+
+    Raises:
+        BagError, TopicError: no bag, or no stereo pair in it.
+    """
+
+    dense = True
+
+    def __init__(self, path: Path, left: str | None = None, right: str | None = None) -> None:
+        self._path = path
+        with BagReader(path) as reader:
+            types = {name: info.msgtype for name, info in reader.topics.items()}
+            self.warnings = [reader.warning] if reader.warning else []
+            try:
+                self._topics = find_stereo_topics(types, left, right)
+            except TopicError as error:
+                raise TopicError(f"{path}: {error}") from error
+            self._count = reader.topics[self._topics.left_image].count
+        if self._topics.rectified:
+            raise TopicError(
+                f"{path}: {self._topics.left_image} is rectified already: calibrate with raw images, record the topics "
+                "before rectification or name them with --left and --right"
+            )
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[PicturePair]:
+        config = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=_TOLERANCE_S)
+        pairing: StereoPairing[BagMessage] = StereoPairing(config)
+        with BagReader(self._path) as reader:
+            for message in reader.messages((self._topics.left_image, self._topics.right_image)):
+                add = pairing.add_left if message.topic == self._topics.left_image else pairing.add_right
+                for pair in add(cdr_stamp_ns(message.data), message):
+                    yield _decoded(reader, *pair)
+            for pair in pairing.flush():
+                yield _decoded(reader, *pair)
+        lost = pairing.counts.dropped_left + pairing.counts.dropped_right
+        if lost:
+            self.warnings.append(f"{self._path}: {lost} images have no partner within {1e3 * _TOLERANCE_S:g} ms")
+
+
+def _decoded(reader: BagReader, left: BagMessage, right: BagMessage) -> PicturePair:
+    grays = [to_gray(decode(reader.deserialize(message), message.topic)) for message in (left, right)]
+    return PicturePair(f"{cdr_stamp_ns(left.data) / 1e9:.3f} s", *grays)

@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Writes a dataset as a bag: images, camera infos, and the truth where it is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import F32, Frame
+from stereo_depth_ros.datasets.dataset import DatasetFrame, StereoDataset
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.disparity import disparity_message
+from stereo_depth_ros.messages.image import image_message
+
+__all__ = ["convert_dataset"]
+
+_FIRST_STAMP_NS = 10**9  # a ROS time of 0 means that no time is set
+_TRUTH_STEP_PX = 1 / 256  # the finest steps in which any of the datasets stores its truth
+
+
+def convert_dataset(
+    dataset: StereoDataset,
+    out: Path,
+    *,
+    rate_hz: float = 10.0,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Writes ``image_raw`` and ``camera_info`` of ``/left`` and ``/right``, and, where known, ``/truth/disparity``.
+
+    Args:
+        dataset: what to write.
+        out: the bag to make, ``.mcap``.
+        rate_hz: pairs per second where the dataset has no times.
+        overwrite: replace an existing bag.
+        progress: called with the number of pairs written and of all pairs, after each.
+
+    Returns:
+        The number of pairs written.
+
+    Raises:
+        ConfigError: the rate is not positive.
+        BagError: the bag cannot be written, or the dataset cannot be read.
+    """
+    if not (rate_hz > 0 and math.isfinite(rate_hz)):
+        raise ConfigError(f"rate_hz = {rate_hz} is not above 0: set pairs per second, for example 10")
+    count = 0
+    with BagWriter(out, overwrite=overwrite) as bag:
+        pairs = _PairWriter(bag, dataset.rig)
+        for count, frame in enumerate(dataset, start=1):
+            counted_ns = _FIRST_STAMP_NS + round((count - 1) * 1e9 / rate_hz)
+            pairs.write(frame if dataset.has_stamps else _stamped(frame, counted_ns))
+            if progress is not None:
+                progress(count, len(dataset))
+    return count
+
+
+class _PairWriter:
+    """Puts the messages of a pair into the bag."""
+
+    def __init__(self, bag: BagWriter, rig: StereoRig) -> None:
+        self._bag = bag
+        self._rig = rig
+        self._types = RosbagsTypes()
+
+    def write(self, frame: DatasetFrame) -> None:
+        for eye, image, camera in (("left", frame.left, self._rig.left), ("right", frame.right, self._rig.right)):
+            stamp_ns = image.stamp_ns
+            info = camera_info_message(self._types, camera, stamp_ns)
+            message = image_message(self._types, image.pixels, image.encoding, stamp_ns, image.frame_id)
+            self._bag.write(f"/{eye}/camera_info", info, stamp_ns)
+            self._bag.write(f"/{eye}/image_raw", message, stamp_ns)
+        if frame.truth_disparity_px is not None:
+            self._write_truth(frame.truth_disparity_px, frame.left)
+
+    def _write_truth(self, truth_px: F32, left: Frame) -> None:
+        known = truth_px[np.isfinite(truth_px)]
+        message = disparity_message(
+            self._types,
+            truth_px,
+            self._rig,
+            min_disparity=math.floor(known.min()) if known.size else 0,
+            max_disparity=math.ceil(known.max()) if known.size else 0,
+            step_px=_TRUTH_STEP_PX,
+            stamp_ns=left.stamp_ns,
+            frame_id=left.frame_id,
+        )
+        self._bag.write("/truth/disparity", message, left.stamp_ns)
+
+
+def _stamped(frame: DatasetFrame, stamp_ns: int) -> DatasetFrame:
+    left, right = (replace(image, stamp_ns=stamp_ns) for image in (frame.left, frame.right))
+    return replace(frame, left=left, right=right)

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of two cameras together and with their images: every fault is told, not the first one only.
+
+What makes a rig usable is decided by :class:`StereoRig`, as in the nodes. It stops at the first fault; here one is made
+for each part, with all other parts replaced by ones that pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.rig import MAX_BASELINE_M, MIN_BASELINE_M, StereoRig
+from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.diagnosis.checks.cameras import fits_picture
+from stereo_depth_ros.diagnosis.finding import Finding, Level
+
+__all__ = ["check_frame", "check_frame_names", "check_image_size", "check_pair", "picture_rig"]
+
+WIDE_BASELINE_M = 1.5  # few rigs are wider, and a small one whose centimetres are read as metres is
+FULL_SIZE_MM = 20.0  # a baseline that is read as more metres than this was millimetres, else centimetres
+_EXAMPLE_BASELINE_M = 0.1
+_LABELS = ("left camera", "right camera")  # what a rig without topics calls its cameras in errors
+_ANY_MATRIX = np.eye(3)
+_SIGN = "right P[0,3]"
+
+
+def check_pair(left: CameraModel, right: CameraModel) -> list[Finding]:
+    """Sizes, focal lengths, rows, and the baseline of two cameras whose P are usable, each for itself."""
+    findings = []
+    for name, rig_cameras, value, limit in _pair_parts(left, right):
+        try:
+            StereoRig(*rig_cameras)
+        except CalibrationError as error:
+            label = next((label for label in _LABELS if str(error).startswith(f"{label}: ")), "")
+            refused = Finding.refused(name, error, label, limit, _remedy(name, left, right))
+            findings.append(replace(refused, figures={"value": float(right.P[0, 3])}) if name == _SIGN else refused)
+        else:
+            findings.append(_wide(right.P, limit) if name == "baseline" else Finding(name, Level.OK, value, limit))
+    return findings
+
+
+def _remedy(name: str, left: CameraModel, right: CameraModel) -> str:
+    """A better one than that of the error; empty where there is none."""
+    equal = all(np.array_equal(getattr(left, part), getattr(right, part)) for part in ("K", "D", "R", "P"))
+    if name == _SIGN and equal:
+        return "both camera infos are equal: give the right camera its own, P[0,3] is -fx * baseline in it"
+    return _unit_remedy(right.P) if name == "baseline" else ""
+
+
+def _pair_parts(
+    left: CameraModel, right: CameraModel
+) -> Iterator[tuple[str, tuple[CameraModel, CameraModel], str, str]]:
+    """Name, a rig with only that part of the cameras' own, what it says, what it is held against."""
+    P = left.P[:, :3]
+    sizes = f"{left.width}x{left.height}, {right.width}x{right.height}"
+    yield "sizes", (_plain(left, P), _plain(right, P, _EXAMPLE_BASELINE_M)), sizes, "equal"
+    if (left.width, left.height) != (right.width, right.height):
+        yield from _baseline_parts(right)
+        return  # what is in px cannot be compared
+    reference = replace(_plain(left, P), P=left.P)
+    yield "left P[:, 3]", (reference, _plain(left, P, _EXAMPLE_BASELINE_M)), str(left.P[:2, 3].tolist()), "0"
+    for name, at in (("fx", (0, 0)), ("fy", (1, 1)), ("cy", (1, 2))):
+        other = P.copy()
+        other[at] = right.P[at]
+        limit = "equal within 0.01 px" if name == "cy" else "equal within 0.1 %"
+        value = f"{left.P[at]:.3f}, {right.P[at]:.3f} px"
+        yield f"{name} of P", (_plain(left, P), _plain(left, other, _EXAMPLE_BASELINE_M)), value, limit
+    yield from _baseline_parts(right)
+
+
+def _baseline_parts(right: CameraModel) -> Iterator[tuple[str, tuple[CameraModel, CameraModel], str, str]]:
+    P = right.P[:, :3]
+    left, fx = _plain(right, P), right.P[0, 0]
+
+    def eye(across: float, down: float = 0.0) -> CameraModel:
+        return replace(left, P=np.column_stack([P, [across, down, 0.0]]))
+
+    vertical = eye(-fx * _EXAMPLE_BASELINE_M, right.P[1, 3])
+    yield "right P[1,3]", (left, vertical), f"{right.P[1, 3]:g}", "0: eyes side by side"
+    sign = eye(right.P[0, 3] if right.P[0, 3] >= 0 else -fx * _EXAMPLE_BASELINE_M)
+    yield _SIGN, (left, sign), f"{right.P[0, 3]:.4f}", "below 0"
+    if right.P[0, 3]:
+        yield "baseline", (left, eye(-abs(right.P[0, 3]))), "", f"{MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m"
+
+
+def _plain(camera: CameraModel, P: F64, baseline_m: float = 0.0) -> CameraModel:
+    """A camera of the same size that passes: no distortion, rectified, its P from (3, 3)."""
+    fourth = [-P[0, 0] * baseline_m, 0.0, 0.0]
+    P = np.column_stack([P, fourth])
+    return CameraModel(camera.width, camera.height, "plumb_bob", _ANY_MATRIX, np.zeros(0), _ANY_MATRIX, P)
+
+
+def _unit_remedy(P: F64) -> str:
+    """What the number was probably meant to be."""
+    baseline_m, entry = abs(P[0, 3] / P[0, 0]), abs(P[0, 3])
+    if baseline_m > MAX_BASELINE_M:
+        unit, factor = ("millimetres", 1e-3) if baseline_m >= FULL_SIZE_MM else ("centimetres", 1e-2)
+        if factor * baseline_m <= MAX_BASELINE_M:
+            return (
+                f"written in {unit}: multiply P[0,3] of the right camera by {factor:g}, "
+                f"the baseline is then {factor * baseline_m:.4g} m"
+            )
+    elif MIN_BASELINE_M <= entry <= MAX_BASELINE_M:
+        return f"P[0,3] is the baseline itself: multiply it by fx = {P[0, 0]:.4g}, the baseline is then {entry:.4g} m"
+    return ""
+
+
+def _wide(P: F64, limit: str) -> Finding:
+    baseline_m = abs(float(P[0, 3] / P[0, 0]))
+    value, figures = f"{baseline_m:.4f} m", {"baseline_m": baseline_m}
+    if baseline_m <= WIDE_BASELINE_M:
+        return Finding("baseline", Level.OK, value, limit, "", figures)
+    remedy = f"measure it: if it was written in centimetres, multiply P[0,3] by 0.01 ({0.01 * baseline_m:.4g} m)"
+    return Finding("baseline", Level.WARNING, value, f"{limit}, usually below {WIDE_BASELINE_M:g} m", remedy, figures)
+
+
+def picture_rig(left: CameraModel, right: CameraModel, topics: tuple[str, str]) -> tuple[StereoRig | None, str]:
+    """The rig to rectify pictures with, and why it is none that depth can be made with; empty where it is.
+
+    The baseline moves no pixel: where only that is wrong the pictures can be looked at all the same.
+    """
+    try:
+        return StereoRig(left, right, topics), ""
+    except CalibrationError as error:
+        why = str(error)
+    try:
+        P_left, P_right = left.P[:, :3], right.P[:, :3]
+        straight = replace(left, P=np.column_stack([P_left, np.zeros(3)]))
+        beside = np.column_stack([P_right, [-P_right[0, 0] * _EXAMPLE_BASELINE_M, 0.0, 0.0]])
+        return StereoRig(straight, replace(right, P=beside), topics), why
+    except CalibrationError:
+        return None, why
+
+
+def check_image_size(
+    camera: CameraModel, sensor: tuple[int, int], width: int, height: int, eye: str, topic: str
+) -> Finding:
+    """Whether the images have the size that their camera info is for.
+
+    Args:
+        camera: after binning and roi.
+        sensor: width and height in the camera info, px, of the whole sensor.
+        width, height: of the images, px.
+    """
+    check, limit = f"{eye} image size", f"{camera.width}x{camera.height}"
+    try:
+        _rig_of(camera, camera).check_image(width, height, topic)
+    except CalibrationError as error:
+        return Finding.refused(check, error, topic, limit, _size_remedy(camera, sensor, width, height))
+    return Finding(check, Level.OK, f"{width}x{height}", limit)
+
+
+def check_frame(left: CameraModel, right: CameraModel, eye: str, frame_id: str, topic: str) -> Finding:
+    """Whether an image carries the frame of its own eye, as its camera info has it."""
+    own = (left if eye == "left" else right).frame_id
+    check, limit = f"{eye} frame_id", own
+    try:
+        _rig_of(left, right).check_eye(eye, frame_id, topic)
+    except CalibrationError as error:
+        return Finding.refused(check, error, topic, limit)
+    if not frame_id:
+        remedy = "set frame_id in the driver: without it nothing can be placed in the tree of frames"
+        return Finding(check, Level.WARNING, "empty", limit, remedy)
+    return Finding(check, Level.OK, frame_id, limit)
+
+
+def check_frame_names(left: CameraModel, right: CameraModel) -> list[Finding]:
+    """A warning where the camera infos have names that speak of the other eye."""
+    if "right" not in left.frame_id.lower() or "left" not in right.frame_id.lower():
+        return []
+    value, remedy = f"{left.frame_id}, {right.frame_id}", "exchange the frame_ids, or the camera infos"
+    return [Finding("frame names", Level.WARNING, value, "left, right", remedy)]
+
+
+def _size_remedy(camera: CameraModel, sensor: tuple[int, int], width: int, height: int) -> str:
+    """The remedy where the size of the images says what is wrong with their camera info; empty elsewhere."""
+    if (width, height) == sensor:
+        return "the images are of the whole sensor: set binning and roi of the camera info to 0"
+    if fits_picture(camera, width, height):
+        return f"K is for pictures of {width}x{height}: set width and height of the camera info to that"
+    across, down = sensor[0] / width, sensor[1] / height
+    text = f"the images are {1 / across:.4g} times the size that was calibrated"
+    if across == down and across in (2, 3, 4):
+        return f"{text}: set binning to {across:.0f}, or roi where they are a crop"
+    if abs(across / down - 1) <= 0.01:
+        return f"{text}: scale K and P by that"
+    crop = width <= sensor[0] and height <= sensor[1]
+    return "the images are a crop of what was calibrated: set the roi of the camera info" if crop else ""
+
+
+def _rig_of(left: CameraModel, right: CameraModel) -> StereoRig:
+    """A rig that passes, with the frames of these cameras and the size of the left one."""
+    one, other = _plain(left, _ANY_MATRIX), _plain(left, _ANY_MATRIX, _EXAMPLE_BASELINE_M)
+    return StereoRig(replace(one, frame_id=left.frame_id), replace(other, frame_id=right.frame_id))

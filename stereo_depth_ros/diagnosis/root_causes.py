@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One fault shows in several checks: they get the remedy of the one that knows the cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from stereo_depth_ros.diagnosis.finding import Finding, Level, is_wrong
+
+__all__ = ["settled"]
+
+_ORDER, _REFERENCE, _SIGN = "order of the eyes", "left P[:, 3]", "right P[0,3]"
+_FRAMES = ("left frame_id", "right frame_id")
+# what follows, and from what
+_CONSEQUENCES = {
+    "rows": ("left centre", "right centre", "left field of view", "right field of view", "rectified picture"),
+    "sizes": ("left image size", "right image size"),
+}
+
+
+def settled(findings: Sequence[Finding]) -> list[Finding]:
+    """The same findings, those that follow from another one with the remedy of that."""
+    remedies = _remedies_of_order(findings)
+    for consequence, causes in _CONSEQUENCES.items():
+        cause = [finding for finding in findings if finding.check in causes and finding.level > Level.LEFT_OUT]
+        if cause:
+            remedies[consequence] = max(cause, key=lambda finding: finding.level).remedy
+    return [
+        replace(finding, remedy=remedies.get(finding.check, finding.remedy))
+        if finding.level is Level.ERROR
+        else finding
+        for finding in findings
+    ]
+
+
+def _remedies_of_order(findings: Sequence[Finding]) -> dict[str, str]:
+    """Camera infos and names only show that something is exchanged; the pictures show what."""
+    order = next((finding for finding in findings if finding.check == _ORDER), None)
+    if order is None or order.level is Level.LEFT_OUT:
+        return {}
+    if order.level is Level.ERROR:
+        return dict.fromkeys((_REFERENCE, _SIGN, *_FRAMES), order.remedy)
+    remedies = dict.fromkeys(_FRAMES, "the pictures are in order: exchange the frame_ids")
+    if is_wrong(findings, _REFERENCE):
+        return remedies | dict.fromkeys(
+            (_REFERENCE, _SIGN), "the pictures are in order: exchange the camera infos, or their P"
+        )
+    if any(finding.check == _SIGN and finding.figures.get("value") for finding in findings):
+        remedies[_SIGN] = "the pictures are in order: change the sign of P[0,3]"
+    return remedies

@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the doctor is given and what it gives: a stereo set-up, and all findings with the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.diagnosis.finding import Finding
+
+__all__ = ["PAIRS_LOOKED_AT", "EyeRecord", "StereoSetUp"]
+
+PAIRS_LOOKED_AT = 6  # from all over the recording: a few hundred features each, half a second each
+
+
+@dataclass(frozen=True)
+class EyeRecord:
+    """What came from one eye.
+
+    Attributes:
+        image_topic, info_topic: names; info_topic is None where there is none.
+        stamps_ns: header stamps of all images, in the order in which they came.
+        infos: the different sensor_msgs/CameraInfo that came, of any message family, the first one first.
+    """
+
+    image_topic: str
+    info_topic: str | None = None
+    stamps_ns: Sequence[int] = ()
+    infos: Sequence[Any] = ()
+
+
+@dataclass(frozen=True)
+class StereoSetUp:
+    """What there is to examine.
+
+    Attributes:
+        source: the bag, or the graph.
+        left, right: what came from the eyes.
+        pairs: a few pairs, from all over the recording.
+        rectified: the names of the topics say that the images are rectified already.
+        findings: what went wrong while it was gathered.
+        silent: what is known of topics on which nothing came.
+    """
+
+    source: str
+    left: EyeRecord
+    right: EyeRecord
+    pairs: Sequence[StereoPair] = ()
+    rectified: bool = False
+    findings: Sequence[Finding] = ()
+    silent: Mapping[str, str] = field(default_factory=dict)

@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All findings on a stereo setup, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from stereo_depth_ros.diagnosis.finding import Finding, Level
+from stereo_depth_ros.diagnosis.survey import StereoSetUp
+
+__all__ = ["Diagnosis"]
+
+_ROOTS = ("two eyes", "order of the eyes")  # faults from which others follow
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All findings, in the order of the path from the camera to depth."""
+
+    set_up: StereoSetUp
+    findings: Sequence[Finding] = field(default_factory=tuple)
+
+    @property
+    def level(self) -> Level:
+        """The worst level of all findings."""
+        return max((finding.level for finding in self.findings), default=Level.LEFT_OUT)
+
+    @property
+    def verdict(self) -> str:
+        """One line."""
+        worst = [finding for finding in self.findings if finding.level is self.level]
+        worst.sort(key=lambda finding: finding.check not in _ROOTS)
+        left_out = [finding.check for finding in self.findings if finding.level is Level.LEFT_OUT]
+        not_seen = f"; not looked at: {', '.join(left_out)}" if left_out else ""
+        if self.level <= Level.LEFT_OUT:
+            return f"no fault was found{not_seen}" if left_out else f"healthy; {self._facts()}"
+        cause = f"{worst[0].check}: {worst[0].remedy or worst[0].value}"
+        more = f" (and {len(worst) - 1} more)" if len(worst) > 1 else ""
+        if self.level is Level.ERROR:
+            return f"not usable; {cause}{more}"
+        return f"usable, could be better; {cause}{more}{not_seen}"
+
+    @property
+    def left_out(self) -> bool:
+        """Something could not be looked at."""
+        return any(finding.level is Level.LEFT_OUT for finding in self.findings)
+
+    @property
+    def search(self) -> str:
+        """The parameters that make the matchers search what the features show; empty where that is not known."""
+        figures = self._figures("disparities")
+        names = ("min_disparity", "disparity_range")
+        return " ".join(f"--param {name}:={figures[name]:.0f}" for name in names if name in figures)
+
+    def _facts(self) -> str:
+        baseline, rows, depths = (self._figures(c) for c in ("baseline", "rows", "depths of the features"))
+        facts = [f"baseline {baseline['baseline_m']:.4g} m"] if baseline else []
+        facts += [f"rows agree to {rows['median_px']:.2f} px"] if rows else []
+        facts += [f"features from {depths['near_m']:.2f} to {depths['far_m']:.2f} m"] if depths else []
+        return ", ".join(facts)
+
+    def _figures(self, check: str) -> Mapping[str, float | None]:
+        return next((finding.figures for finding in self.findings if finding.check == check), {})
+
+    def to_json(self) -> dict[str, Any]:
+        """For JSON: the verdict, the topics, and a dict for each finding."""
+        eyes = {"left": self.set_up.left, "right": self.set_up.right}
+        return {
+            "source": self.set_up.source,
+            "level": self.level.name.lower(),
+            "healthy": self.level is Level.OK,
+            "verdict": self.verdict,
+            "search": self.search,
+            "topics": {eye: {"image": r.image_topic, "camera_info": r.info_topic} for eye, r in eyes.items()},
+            "pairs_looked_at": len(self.set_up.pairs),
+            "findings": [finding.to_json() for finding in self.findings],
+        }

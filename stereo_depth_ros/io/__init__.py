@@ -1,2 +1,0 @@
-# SPDX-FileCopyrightText: The stereo_depth_ros authors
-# SPDX-License-Identifier: Apache-2.0

@@ -1,8 +1,0 @@
-# SPDX-FileCopyrightText: The stereo_depth_ros authors
-# SPDX-License-Identifier: Apache-2.0
-"""Synthetic stereo: a ray-cast room seen by a verged, distorted, moving rig, with exact truth."""
-
-from stereo_depth_ros.io.synthetic.scene import Cylinder, Rectangle, Scene, Sphere, Texture, room_scene
-from stereo_depth_ros.io.synthetic.sequence import SyntheticFrame, SyntheticSequence
-
-__all__ = ["Cylinder", "Rectangle", "Scene", "Sphere", "SyntheticFrame", "SyntheticSequence", "Texture", "room_scene"]

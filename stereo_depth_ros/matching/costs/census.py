@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Census transform, and the Hamming distances that it gives as matching costs."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
+from stereo_depth_ros.core.types import U8
+
+__all__ = ["CENSUS_BITS", "U64", "census_rows", "cost_rows"]
+
+U64: TypeAlias = npt.NDArray[np.uint64]
+
+RADIUS_X, RADIUS_Y = 4, 3
+CENSUS_BITS = (2 * RADIUS_X + 1) * (2 * RADIUS_Y + 1) - 1
+NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # what unrelated pixels cost on average
+
+_ONE, _EIGHT = np.uint8(1), np.uint64(8)
+_ONE_16 = np.uint16(1)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _popcount(_: Any, value: Any) -> Any:
+    """Number of bits that are set; LLVM makes vectors of it."""
+
+    def generate(_context: Any, builder: ir.IRBuilder, _signature: Any, arguments: list[ir.Value]) -> ir.Value:
+        return builder.ctpop(arguments[0])
+
+    return types.uint64(types.uint64), generate
+
+
+@compiled(allocates=False)
+def _add_bit(neighbours: U8, centres: U8, codes: U8) -> None:
+    for x in range(codes.size):
+        codes[x] = np.uint8(np.uint8(codes[x] << _ONE) | np.uint8(neighbours[x] < centres[x]))
+
+
+@compiled(allocates=False)
+def _add_byte(part: U8, codes: U64) -> None:
+    for x in range(codes.size):
+        codes[x] = (codes[x] << _EIGHT) | np.uint64(part[x])
+
+
+@compiled(numba.void(numba.int64, numba.int64, READ_ONLY_U8, numba.uint64[:, ::1]))
+def census_rows(first: int, last: int, image: U8, codes: U64) -> None:
+    """Census transform with a window of 9 x 7: a bit says whether a neighbour is darker than the centre.
+
+    Zabih and Woodfill, "Non-parametric local transforms for computing visual correspondence", ECCV 1994. Neighbours
+    outside the image are the nearest pixels inside.
+
+    Args:
+        first, last: rows to write.
+        image: uint8 (H, W).
+        codes: uint64 (H, W).
+    """
+    height, width = image.shape
+    window = np.empty((2 * RADIUS_Y + 1, width + 2 * RADIUS_X), np.uint8)
+    part = np.zeros(width, np.uint8)
+    for y in range(first, last):
+        for j in range(2 * RADIUS_Y + 1):
+            row = image[min(max(y + j - RADIUS_Y, 0), height - 1)]
+            window[j, :RADIUS_X] = row[0]
+            window[j, RADIUS_X:-RADIUS_X] = row
+            window[j, -RADIUS_X:] = row[width - 1]
+        codes[y] = 0
+        centres = window[RADIUS_Y, RADIUS_X : RADIUS_X + width]
+        bits = 0
+        for j in range(2 * RADIUS_Y + 1):
+            for i in range(2 * RADIUS_X + 1):
+                if i != RADIUS_X or j != RADIUS_Y:
+                    _add_bit(window[j, i : i + width], centres, part)
+                    bits += 1
+                    if bits % 8 == CENSUS_BITS % 8:  # eight at a time, in bytes: eight times as many pixels at once
+                        _add_byte(part, codes[y])
+                        part[:] = 0
+
+
+@compiled(allocates=False)
+def _mean(a: np.uint8, b: np.uint8) -> np.uint8:
+    """(a + b) / 2, rounded up: one instruction for a vector of bytes."""
+    return np.uint8(np.uint16(np.uint16(a) + np.uint16(b) + _ONE_16) >> _ONE_16)
+
+
+@compiled(allocates=False)
+def _quarter_half_quarter(before: U8, here: U8, after: U8, out: U8) -> None:
+    for i in range(out.size):
+        out[i] = _mean(_mean(before[i], after[i]), here[i])
+
+
+@compiled(allocates=False)
+def _hamming(code: np.uint64, others: U64, out: U8) -> None:
+    for k in range(out.size):
+        out[k] = np.uint8(_popcount(code ^ others[k]))
+
+
+@compiled(allocates=False)
+def _hamming_row(left: U64, right: U64, max_disparity: int, raw: U8) -> None:
+    """Distances of one row, to ``raw[1]`` and on; the first and last pixel twice, for the smoothing."""
+    width, count = left.size, raw.shape[1]
+    for x in range(width):
+        at = x - max_disparity  # right column of index 0
+        begin, end = min(max(-at, 0), count), max(min(width - at, count), 0)
+        here = raw[x + 1]
+        if begin < end:
+            _hamming(left[x], right[at + begin : at + end], here[begin:end])
+            here[:begin] = min(here[begin], NEUTRAL_COST)
+            here[end:] = min(here[end - 1], NEUTRAL_COST)
+        else:
+            here[:] = NEUTRAL_COST
+    for k in range(count):
+        raw[0, k] = raw[1, k]
+        raw[width + 1, k] = raw[width, k]
+
+
+@compiled(allocates=False)
+def cost_rows(left: U64, right: U64, first: int, last: int, max_disparity: int, raw: U8, smooth: U8, cost: U8) -> None:
+    """Matching costs of a band of rows: Hamming distances, smoothed by (1 2 1) / 4 along x and along y.
+
+    Index k of a cost counts down from the largest disparity, so that it runs along the right image. Where the right
+    image has ended the distance stays what it was at the end, at most ``NEUTRAL_COST``: a distance of its own would
+    favour the disparities inside, and paths would carry that over all of an image without texture.
+
+    Args:
+        left, right: census of the images, uint64 (H, W).
+        first, last: rows whose costs are written, to ``cost[0]`` and on.
+        max_disparity: largest disparity, px.
+        raw: scratch, uint8 (W + 2, K).
+        smooth: scratch, uint8 (3, W, K), the newest rows smoothed along x.
+        cost: uint8 (rows, W, K), at most 62.
+    """
+    height, width = left.shape
+    done = -1
+    for y in range(first, last):
+        for near in range(max(y - 1, 0), min(y + 2, height)):
+            if near > done:
+                _hamming_row(left[near], right[near], max_disparity, raw)
+                for x in range(width):
+                    _quarter_half_quarter(raw[x], raw[x + 1], raw[x + 2], smooth[near % 3, x])
+                done = near
+        above, below = max(y - 1, 0) % 3, min(y + 1, height - 1) % 3
+        for x in range(width):
+            _quarter_half_quarter(smooth[above, x], smooth[y % 3, x], smooth[below, x], cost[y - first, x])

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Belief propagation: neighbours tell each other what their disparities would cost, from coarse to fine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.bands import run_bands
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.matching.global_methods.energy import I32, StereoModel, energy
+from stereo_depth_ros.matching.global_methods.global_matcher import LabellingMatcher
+
+__all__ = ["BeliefPropagationMatcher"]
+
+LEVELS = 5  # blocks of up to 16 x 16 pixels
+ITERATIONS = 10  # on each level
+RIGHT, LEFT, DOWN, UP = range(4)  # where a message goes
+
+
+class BeliefPropagationMatcher(LabellingMatcher):
+    """Loopy min-sum belief propagation (max-product of the probabilities) on the grid, from coarse to fine.
+
+    After Felzenszwalb and Huttenlocher (2006): messages of a truncated linear penalty in time linear in the number of
+    disparities; pixels of the two colours of a chessboard take turns, so one set of messages is enough; messages begin
+    as those of a grid of half the resolution. Other than there, a pixel of the coarser grid stands for labellings that
+    are constant on its block, so that contrast-sensitive weights add up as the costs do.
+
+    The energy is that of ``energy.py``; ``energies`` holds it, in grey levels, after each
+    iteration on the finest grid, of the last pair. It need not fall every time. ``iterations`` are per grid.
+    """
+
+    name = "belief_propagation"
+
+    def __init__(self, config: MatchingConfig) -> None:
+        """ConfigError where the search does not fit in 16-bit disparities."""
+        super().__init__(config)
+        self.energies: list[float] = []
+
+    def _label(self, model: StereoModel) -> I32:
+        self.energies = []
+        models = [model]
+        for _ in range(LEVELS - 1):
+            models.append(_coarser(models[-1]))
+        labels: I32 = np.empty(model.data.shape[:2], np.int32)
+        messages = _no_messages(models[-1])
+        for level in reversed(models):
+            if level is not models[-1]:
+                messages = _finer_messages(messages, level)
+            for _ in range(self.config.iterations or ITERATIONS):
+                _exchange(level, messages)
+                if level is model:
+                    run_bands(_label_rows, labels.shape[0], model.data, messages, labels)
+                    self.energies.append(energy(model, labels))
+        return labels
+
+
+def _coarser(model: StereoModel) -> StereoModel:
+    """The energy of labellings that are constant on blocks of 2 x 2 pixels, fewer at the right and the lower edge."""
+    height, width = model.data.shape[:2]
+    rows, columns = np.arange(0, height, 2), np.arange(0, width, 2)
+    data: I32 = np.add.reduceat(np.add.reduceat(model.data, rows, 0, np.int32), columns, 1, np.int32)
+    weights = np.zeros((2, len(rows), len(columns)), np.int32)
+    # The edges that leave a block start in its last column or row.
+    to_right = np.add.reduceat(model.weights[0, :, 1::2], rows, 0, np.int32)
+    to_below = np.add.reduceat(model.weights[1, 1::2], columns, 1, np.int32)
+    weights[0, :, : to_right.shape[1]] = to_right
+    weights[1, : to_below.shape[0]] = to_below
+    return StereoModel(data, weights, model.largest_step, model.largest_cost)
+
+
+def _no_messages(model: StereoModel) -> I32:
+    """int32 (4, H + 2, W + 2, N): with a frame of senders outside the image, which never have anything to say."""
+    height, width, count = model.data.shape
+    return np.zeros((4, height + 2, width + 2, count), np.int32)
+
+
+def _finer_messages(coarse: I32, model: StereoModel) -> I32:
+    """Each pixel of a block begins with the block's messages; an edge of blocks is two edges of pixels."""
+    height, width = model.data.shape[:2]
+    messages = _no_messages(model)
+    halves = (coarse[:, 1:-1, 1:-1] // 2).repeat(2, axis=1).repeat(2, axis=2)
+    messages[:, 1:-1, 1:-1] = halves[:, :height, :width]
+    return messages
+
+
+def _exchange(model: StereoModel, messages: I32) -> None:
+    """One iteration: the pixels of each colour send messages to their neighbours, all of the other colour."""
+    for colour in (0, 1):
+        values = (model.data, model.weights, model.largest_step, colour, messages)
+        run_bands(_message_rows, model.data.shape[0], *values)
+
+
+@compiled()
+def _send(total: I32, reply: I32, weight: int, largest_step: int, message: I32) -> None:
+    """What a pixel tells a neighbour: its costs, without what the neighbour told it, for each label of the neighbour.
+
+    The least over all labels of the pixel, by one sweep up and one down; less a constant, so that the least is 0.
+    """
+    count = total.size
+    least = total[0] - reply[0]
+    for k in range(count):
+        message[k] = total[k] - reply[k]
+        least = min(least, message[k])
+    for k in range(1, count):
+        message[k] = min(message[k], message[k - 1] + weight)
+    for k in range(count - 2, -1, -1):
+        message[k] = min(message[k], message[k + 1] + weight)
+    most = weight * largest_step
+    for k in range(count):
+        message[k] = min(message[k] - least, most)
+
+
+@compiled("void(int64, int64, int32[:, :, ::1], int32[:, :, ::1], int32, int64, int32[:, :, :, ::1])")
+def _message_rows(
+    first: int, last: int, data: I32, weights: I32, largest_step: int, colour: int, messages: I32
+) -> None:
+    height, width, count = data.shape
+    total = np.empty(count, np.int32)
+    for y in range(first, last):
+        row = y + 1
+        for x in range((y + colour) % 2, width, 2):
+            column = x + 1
+            from_left, from_right = messages[RIGHT, row, column - 1], messages[LEFT, row, column + 1]
+            from_above, from_below = messages[DOWN, row - 1, column], messages[UP, row + 1, column]
+            for k in range(count):
+                total[k] = data[y, x, k] + from_left[k] + from_right[k] + from_above[k] + from_below[k]
+            if x < width - 1:
+                _send(total, from_right, weights[0, y, x], largest_step, messages[RIGHT, row, column])
+            if x > 0:
+                _send(total, from_left, weights[0, y, x - 1], largest_step, messages[LEFT, row, column])
+            if y < height - 1:
+                _send(total, from_below, weights[1, y, x], largest_step, messages[DOWN, row, column])
+            if y > 0:
+                _send(total, from_above, weights[1, y - 1, x], largest_step, messages[UP, row, column])
+
+
+@compiled("void(int64, int64, int32[:, :, ::1], int32[:, :, :, ::1], int32[:, ::1])")
+def _label_rows(first: int, last: int, data: I32, messages: I32, labels: I32) -> None:
+    """The label of least belief: a pixel's own costs and all that it was told."""
+    width, count = data.shape[1:]
+    belief = np.empty(count, np.int32)
+    for y in range(first, last):
+        for x in range(width):
+            from_left, from_right = messages[RIGHT, y + 1, x], messages[LEFT, y + 1, x + 2]
+            from_above, from_below = messages[DOWN, y, x + 1], messages[UP, y + 2, x + 1]
+            for k in range(count):
+                belief[k] = data[y, x, k] + from_left[k] + from_right[k] + from_above[k] + from_below[k]
+            labels[y, x] = np.argmin(belief)

@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Diffusion: the costs of all disparities spread to neighbouring pixels until each pixel's winner is clear."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.bands import run_bands
+from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
+from stereo_depth_ros.core.types import F32, U8, MatchResult
+from stereo_depth_ros.matching.filters.speckle_filter import I16
+from stereo_depth_ros.matching.photometric import match_brightness
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.selection.float_costs import finish, select_row
+from stereo_depth_ros.matching.serial import SerialMatcher
+
+__all__ = ["DiffusionMatcher"]
+
+ITERATIONS = 80
+
+# The grey difference of a match is Gaussian, but for a share of outliers that may have any.
+NOISE_SIGMA = 8.0
+NOISE_OUTLIERS = 0.1
+# So is the difference of neighbouring disparities, px. Sigma is for a grid of whole disparities.
+STEP_SIGMA_PX = 0.4
+STEP_OUTLIERS = 0.01
+# Weight of each of the four neighbours: 1 is the mean field, less makes up for evidence that comes back to its pixel.
+NEIGHBOUR_WEIGHT = 0.5
+# Membrane: rate of diffusion (at most 1/4 is stable), and how strongly each pixel is held to its own cost.
+DIFFUSION_RATE = 0.15
+HOLD_RATE = 0.02
+
+
+class DiffusionMatcher(SerialMatcher):
+    """Diffusion of the disparity space (Scharstein and Szeliski 1998), ``iterations`` times; 0 is 80.
+
+    The cost of a pixel at a disparity is E0 = -log of a contaminated Gaussian of the grey difference, the
+    left image made as bright as the right one before. It spreads by ``diffusion_model``:
+
+    - "bayesian": each pixel keeps a distribution p = exp(-E) / sum exp(-E) over its disparities. It is smoothed along
+      the disparities by the prior of neighbours (a contaminated Gaussian too), and its -log, Es, is what the
+      neighbours hear: E = E0 + w sum over 4 neighbours of Es. Evidence spreads along surfaces and stops at their edges.
+    - "membrane": E moves by a (sum over 4 neighbours of their E - E) + b (E0 - E); linear smoothing whose support is
+      bell-shaped, without a window.
+
+    Then winner, uniqueness and left-right check (``disp12_max_diff`` above 0), and the fit of a parabola. Bayesian
+    energies have clear winners, so that most of its disparities are near whole pixels. The whole disparity space is in
+    memory, three times: 12 bytes per pixel and disparity. ``speckle_range`` is in px.
+    """
+
+    name = "diffusion"
+    step_px = 1 / FIXED_STEPS
+
+    def __init__(self, config: MatchingConfig) -> None:
+        """ConfigError where the search does not fit in 16-bit disparities."""
+        check_search(config)
+        super().__init__(config)
+        self._iterations = config.iterations or ITERATIONS
+
+    def _match(self, left: U8, right: U8) -> MatchResult:
+        config = self.config
+        check_pair(left, right, config)
+        rows = left.shape[0]
+        data = np.empty((*left.shape, config.num_disparities), np.float32)
+        images = (match_brightness(left, right, config), np.ascontiguousarray(right))
+        run_bands(_cost_rows, rows, *images, config.max_disparity, _noise_energies(), data)
+        bayesian = config.diffusion_model == "bayesian"
+        energies = self._bayesian_energies(data) if bayesian else self._membrane_energies(data)
+        fixed = np.zeros(left.shape, np.int16)
+        reasons = np.empty(left.shape, np.uint8)
+        checks = (config.uniqueness_ratio, config.disp12_max_diff)
+        run_bands(_select_rows, rows, energies, config.max_disparity, *checks, fixed, reasons)
+        return finish(fixed, reasons, config, self.step_px)
+
+    def _bayesian_energies(self, data: F32) -> F32:
+        beside = math.exp(-1 / (2 * STEP_SIGMA_PX**2))
+        kernel = (np.float32(1 / (1 + 2 * beside)), np.float32(beside / (1 + 2 * beside)))
+        heard, energies = np.zeros_like(data), np.empty_like(data)
+        for _ in range(self._iterations):
+            run_bands(_bayesian_rows, data.shape[0], data, heard, *kernel, energies)
+            heard, energies = energies, heard
+        run_bands(_energy_rows, data.shape[0], data, heard, energies)
+        return energies
+
+    def _membrane_energies(self, data: F32) -> F32:
+        energies, moved = data.copy(), np.empty_like(data)
+        for _ in range(self._iterations):
+            run_bands(_membrane_rows, data.shape[0], data, energies, moved)
+            energies, moved = moved, energies
+        return energies
+
+
+def _noise_energies() -> F32:
+    """-log of the contaminated Gaussian for each absolute grey difference 0..255."""
+    gaussian = np.exp(-(np.arange(256.0) ** 2) / (2 * NOISE_SIGMA**2))
+    energies: F32 = -np.log((1 - NOISE_OUTLIERS) * gaussian + NOISE_OUTLIERS).astype(np.float32)
+    return energies
+
+
+@compiled(
+    numba.void(
+        *(numba.int64, numba.int64, READ_ONLY_U8, READ_ONLY_U8, numba.int64),
+        *(numba.float32[::1], numba.float32[:, :, ::1]),
+    )
+)
+def _cost_rows(first: int, last: int, left: U8, right: U8, max_disparity: int, energies: F32, data: F32) -> None:
+    """Costs (H, W, D) of single pixels; index k is disparity ``max_disparity`` - k, inf outside the right image."""
+    _, width, count = data.shape
+    for y in range(first, last):
+        for x in range(width):
+            value = np.int64(left[y, x])
+            for k in range(count):
+                at = x - max_disparity + k
+                data[y, x, k] = energies[abs(value - right[y, at])] if 0 <= at < width else np.inf
+
+
+@compiled()
+def _energy(data: F32, heard: F32, y: int, x: int, k: int) -> np.float32:
+    """E0 and what the four neighbours say; a pixel at the edge of the image hears itself instead."""
+    height, width = data.shape[0], data.shape[1]
+    vertical = heard[max(y - 1, 0), x, k] + heard[min(y + 1, height - 1), x, k]
+    horizontal = heard[y, max(x - 1, 0), k] + heard[y, min(x + 1, width - 1), k]
+    return np.float32(data[y, x, k] + np.float32(NEIGHBOUR_WEIGHT) * (vertical + horizontal))
+
+
+@compiled("void(int64, int64, float32[:, :, ::1], float32[:, :, ::1], float32, float32, float32[:, :, ::1])")
+def _bayesian_rows(first: int, last: int, data: F32, heard: F32, centre: float, beside: float, said: F32) -> None:
+    """What each pixel says to its neighbours, from what it heard."""
+    count = data.shape[2]
+    p = np.zeros(count + 2, np.float32)  # p[k + 1] is index k; both ends stay 0
+    outliers = np.float32(STEP_OUTLIERS)
+    for y in range(first, last):
+        for x in range(data.shape[1]):
+            least = np.float32(np.inf)
+            for k in range(count):
+                p[k + 1] = _energy(data, heard, y, x, k)
+                least = min(least, p[k + 1])
+            if least == np.inf:  # none of its disparities is in the right image: no preference
+                for k in range(count):
+                    said[y, x, k] = 0
+                continue
+            total = np.float32(0)
+            for k in range(1, count + 1):
+                p[k] = np.exp(least - p[k])
+                total += p[k]
+            scale = np.float32((1 - outliers) / total)
+            for k in range(count):
+                smooth = centre * p[k + 1] + beside * (p[k] + p[k + 2])
+                said[y, x, k] = -np.log(scale * smooth + outliers)
+
+
+@compiled("void(int64, int64, float32[:, :, ::1], float32[:, :, ::1], float32[:, :, ::1])")
+def _energy_rows(first: int, last: int, data: F32, heard: F32, energies: F32) -> None:
+    for y in range(first, last):
+        for x in range(data.shape[1]):
+            for k in range(data.shape[2]):
+                energies[y, x, k] = _energy(data, heard, y, x, k)
+
+
+@compiled("void(int64, int64, float32[:, :, ::1], float32[:, :, ::1], float32[:, :, ::1])")
+def _membrane_rows(first: int, last: int, data: F32, energies: F32, moved: F32) -> None:
+    height, width, count = data.shape
+    rate, hold = np.float32(DIFFUSION_RATE), np.float32(HOLD_RATE)
+    for y in range(first, last):
+        for x in range(width):
+            for k in range(count):
+                here = energies[y, x, k]
+                flow = hold * (data[y, x, k] - here)
+                # Nothing flows from outside of either image.
+                for row, column in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                    if 0 <= row < height and 0 <= column < width and energies[row, column, k] < np.inf:
+                        flow += rate * (energies[row, column, k] - here)
+                moved[y, x, k] = here + flow if here < np.inf else here
+
+
+@compiled("void(int64, int64, float32[:, :, ::1], int64, float64, int64, int16[:, ::1], uint8[:, ::1])")
+def _select_rows(
+    first: int,
+    last: int,
+    energies: F32,
+    max_disparity: int,
+    uniqueness: float,
+    tolerance: int,
+    fixed: I16,
+    reasons: U8,
+) -> None:
+    for y in range(first, last):
+        select_row(y, energies[y], max_disparity, True, uniqueness, tolerance, fixed, reasons)

@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Confidence from the disparities: how many of those around a pixel agree with its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereo_depth_ros.core.bands import run_bands
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.types import F32
+
+__all__ = ["agreement"]
+
+RADIUS = 9
+STRIDE = 3  # a ninth of the window is as good a sample of it
+TOLERANCE_PX = 1.0
+SAMPLES = (2 * RADIUS // STRIDE + 1) ** 2 - 1
+
+
+def agreement(disparity_px: F32, lead: F32 | None = None) -> F32:
+    """Share of the pixels around, in a grid of 7 x 7 over 19 x 19 pixels, that differ by at most 1 px.
+
+    Wrong matches are rarely many of one kind in one place: that tells more than how much better a window's cost is than
+    its second best. Holes and pixels outside the image do not agree.
+
+    Args:
+        disparity_px: float32 (H, W), NaN where invalid.
+        lead: float32 (H, W), in [0, 1], what a method knows besides of its costs; the share is multiplied by it.
+
+    Returns:
+        float32 (H, W) in [0, 1], 0 where invalid.
+    """
+    confidence = np.empty_like(disparity_px)
+    run_bands(_agreement_rows, len(disparity_px), disparity_px, confidence)
+    if lead is not None:
+        confidence *= lead
+    return confidence
+
+
+@compiled(allocates=False)
+def _count_row(here: F32, there: F32, shift: int, counts: F32) -> None:
+    """Adds 1 where ``there``, ``shift`` columns on, agrees with ``here``."""
+    begin, end = max(0, -shift), min(here.size, here.size - shift)
+    if begin < end:
+        own, other, total = here[begin:end], there[begin + shift : end + shift], counts[begin:end]
+        for x in range(own.size):
+            total[x] += np.float32(abs(own[x] - other[x]) <= np.float32(TOLERANCE_PX))
+
+
+@compiled("void(int64, int64, float32[:, ::1], float32[:, ::1])", allocates=False)
+def _agreement_rows(first: int, last: int, disparity_px: F32, confidence: F32) -> None:
+    height = len(disparity_px)
+    for y in range(first, last):
+        counts = confidence[y]
+        counts[:] = 0
+        for j in range(-RADIUS, RADIUS + 1, STRIDE):
+            if 0 <= y + j < height:
+                for i in range(-RADIUS, RADIUS + 1, STRIDE):
+                    if i != 0 or j != 0:
+                        _count_row(disparity_px[y], disparity_px[y + j], i, counts)
+        for x in range(counts.size):
+            counts[x] *= np.float32(1 / SAMPLES)

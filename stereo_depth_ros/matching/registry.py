@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Matching methods by name."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+from stereo_depth_ros.config import MatchingConfig, replace_checked
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.matching.protocol import Matcher
+
+__all__ = ["MATCHERS", "Matcher", "create_matcher", "matcher_from_config"]
+
+MatcherClass: TypeAlias = Callable[[MatchingConfig], Matcher]
+
+# The position of a name is its number in the parameter stereo_algorithm. Modules are imported when their method is
+# first asked for: each brings compiled kernels, some bring a library.
+MATCHERS: Mapping[str, tuple[str, str]] = {
+    "bm": ("window.block_matching", "BlockMatcher"),
+    "sgbm": ("sgm.semi_global_block_matching", "SemiGlobalBlockMatcher"),
+    "sgm": ("sgm.semi_global_matching", "SemiGlobalMatcher"),
+    "window": ("window.fixed_window", "WindowMatcher"),
+    "adaptive_window": ("window.adaptive_window", "AdaptiveWindowMatcher"),
+    "diffusion": ("global_methods.diffusion", "DiffusionMatcher"),
+    "scanline": ("global_methods.scanline", "ScanlineMatcher"),
+    "graph_cut": ("global_methods.graph_cut", "GraphCutMatcher"),
+    "belief_propagation": ("global_methods.belief_propagation", "BeliefPropagationMatcher"),
+    "features": ("features.matcher", "FeatureMatcher"),
+    "onnx": ("onnx", "OnnxMatcher"),
+}
+
+
+def create_matcher(name: str | int, config: MatchingConfig | None = None, **fields: Any) -> Matcher:
+    """A matcher by name, or by its number in ``stereo_algorithm``.
+
+    Args:
+        name: one of ``MATCHERS``; it decides over ``config.stereo_algorithm``.
+        config: parameters, None for the defaults.
+        fields: parameters that differ from ``config``, by field name or outside name (``disparity_range``).
+
+    Raises:
+        ConfigError: unknown name, unknown parameter, or a value that the config or the method refuses.
+    """
+    names = list(MATCHERS)
+    number = names.index(name) if isinstance(name, str) and name in MATCHERS else name
+    if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(names):
+        known = ", ".join(f"{text} ({position})" for position, text in enumerate(names))
+        raise ConfigError(f"unknown matcher {name!r}: known are {known}")
+    changes = {**fields, "stereo_algorithm": number}
+    return _matcher_class(names[number])(replace_checked(config or MatchingConfig(), changes))
+
+
+def matcher_from_config(config: MatchingConfig) -> Matcher:
+    """The matcher that ``config.stereo_algorithm`` names; ConfigError where the method refuses the parameters."""
+    return create_matcher(config.stereo_algorithm, config)
+
+
+@functools.cache
+def _matcher_class(name: str) -> MatcherClass:
+    module, class_name = MATCHERS[name]
+    matcher: MatcherClass = getattr(importlib.import_module(f"stereo_depth_ros.matching.{module}"), class_name)
+    return matcher

@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a row of float costs to disparities: winner, uniqueness, left-right check, sub-pixel fit; median, speckles."""
+
+from __future__ import annotations
+
+import functools
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.bands import run_bands
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
+from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter, disparity_from_fixed
+from stereo_depth_ros.matching.local_consistency import agreement
+from stereo_depth_ros.matching.protocol import FIXED_STEPS
+
+__all__ = ["I64", "finish", "median_filter", "select_row"]
+
+I64: TypeAlias = npt.NDArray[np.int64]
+
+BORDER = int(Reason.BORDER)
+LEFT_RIGHT = int(Reason.LEFT_RIGHT)
+TEXTURE = int(Reason.TEXTURE)
+UNIQUENESS = int(Reason.UNIQUENESS)
+
+
+@compiled()
+def select_row(
+    y: int,
+    costs: F32,
+    max_disparity: int,
+    parabola: bool,
+    uniqueness: float,
+    tolerance: int,
+    fixed: I16,
+    reasons: U8,
+) -> None:
+    """Least cost of every pixel of row ``y``, or the reason against it; for kernels.
+
+    Args:
+        y: row that is written of the two arrays at the end.
+        costs: float32 (W, D), not negative, inf where a hypothesis cannot be judged. Index k is disparity
+            ``max_disparity`` - k; of equal costs the largest disparity wins.
+        parabola: sub-pixel fit of a parabola (squares, correlations), else of two equal slopes (absolute differences).
+        uniqueness: percent by which the best cost that is no neighbour of the winner must be above it; 0 is no check.
+        tolerance: of the left-right check, px; 0 is no check.
+        fixed: int16 (H, W), disparity in 1/16 px where valid.
+        reasons: uint8 (H, W): BORDER without a hypothesis in the right image, TEXTURE where none can be judged.
+    """
+    width, count = costs.shape
+    for x in range(width):
+        best, index = np.float32(np.inf), -1
+        for k in range(count):
+            if costs[x, k] < best:
+                best, index = costs[x, k], k
+        if index < 0:
+            inside = x >= max_disparity - count + 1 and x - max_disparity < width
+            reasons[y, x] = TEXTURE if inside else BORDER
+            continue
+        second = np.float32(np.inf)
+        for k in range(count):
+            if costs[x, k] < second and abs(k - index) > 1:
+                second = costs[x, k]
+        fixed[y, x] = (max_disparity - index) * FIXED_STEPS + _offset(costs, x, index, parabola)
+        rejected = uniqueness > 0 and second <= best * (1 + uniqueness / 100)
+        reasons[y, x] = UNIQUENESS if rejected else 0
+    if tolerance > 0:
+        _check_right(y, costs, max_disparity, tolerance, fixed, reasons)
+
+
+@compiled()
+def _offset(costs: F32, x: int, index: int, parabola: bool) -> int:
+    """Sub-pixel part in 1/16 px, -8..8, from the costs on both sides; 0 where one is missing."""
+    if index == 0 or index == costs.shape[1] - 1:
+        return 0
+    # Disparities fall with the index.
+    above, here, below = np.float64(costs[x, index - 1]), np.float64(costs[x, index]), np.float64(costs[x, index + 1])
+    span = above + below - 2 * here if parabola else max(above, below) - here
+    return int(np.rint((below - above) / (2 * span) * FIXED_STEPS)) if 0 < span < np.inf else 0
+
+
+@compiled()
+def _check_right(y: int, costs: F32, max_disparity: int, tolerance: int, fixed: I16, reasons: U8) -> None:
+    """Marks pixels whose match is claimed at less cost with a disparity more than ``tolerance`` px away."""
+    width, count = costs.shape
+    preferred = np.zeros(width, np.int64)
+    for at in range(width):
+        best = np.float32(np.inf)
+        for k in range(count):
+            x = at + max_disparity - k
+            if 0 <= x < width and costs[x, k] < best:
+                best = costs[x, k]
+                preferred[at] = max_disparity - k
+    for x in range(width):
+        if reasons[y, x] == 0:
+            disparity = (np.int64(fixed[y, x]) + FIXED_STEPS // 2) // FIXED_STEPS
+            at = min(max(x - disparity, 0), width - 1)
+            if abs(preferred[at] - disparity) > tolerance:
+                reasons[y, x] = LEFT_RIGHT
+
+
+def median_filter(fixed: I16, reasons: U8, size: int) -> I16:
+    """Median of the valid pixels in a square of odd side ``size`` px (the lower one of an even number).
+
+    Args:
+        fixed: int16 (H, W), disparity in 1/16 px.
+        reasons: uint8 (H, W), 0 where valid. Other pixels take no part and stay as they are.
+
+    Returns:
+        int16 (H, W), 1/16 px.
+    """
+    filtered = fixed.copy()
+    valid = fixed[reasons == 0]
+    if size > 1 and valid.size:
+        low, high = int(valid.min()), int(valid.max())
+        run_bands(_median_rows, fixed.shape[0], fixed, reasons, size // 2, low, high - low + 1, filtered)
+    return filtered
+
+
+@compiled("void(int64, int64, int16[:, ::1], uint8[:, ::1], int64, int64, int64, int16[:, ::1])")
+def _median_rows(
+    first: int, last: int, fixed: I16, reasons: U8, half: int, low: int, levels: int, filtered: I16
+) -> None:
+    """Sliding histogram (Huang, Yang and Tang 1979): columns enter and leave, the median moves from where it was."""
+    height, width = fixed.shape
+    counts = np.empty(levels, np.int32)
+    for y in range(first, last):
+        top, bottom = max(0, y - half), min(height, y + half + 1)
+        counts[:] = 0
+        total, median, below = 0, 0, 0  # below: how many are under the median
+        for x in range(-half, width):
+            for column, step in ((x + half, 1), (x - half - 1, -1)):
+                if 0 <= column < width:
+                    for row in range(top, bottom):
+                        if reasons[row, column] == 0:
+                            level = np.int64(fixed[row, column]) - low
+                            counts[level] += step
+                            total += step
+                            below += step if level < median else 0
+            if x < 0 or reasons[y, x]:
+                continue
+            rank = (total - 1) // 2
+            while below > rank:
+                median -= 1
+                below -= counts[median]
+            while below + counts[median] <= rank:
+                below += counts[median]
+                median += 1
+            filtered[y, x] = median + low
+
+
+def finish(fixed: I16, reasons: U8, config: MatchingConfig, step_px: float, lead: F32 | None = None) -> MatchResult:
+    """Speckles out (``speckle_range`` in px), disparities to pixels; the confidence is their :func:`agreement`."""
+    SpeckleFilter(config.speckle_size, config.speckle_range * FIXED_STEPS)(fixed, reasons)
+    disparity_px = np.empty(fixed.shape, np.float32)
+    disparity_from_fixed(fixed, reasons, disparity_px)
+    if lead is not None:
+        lead[reasons != 0] = 0  # also where holes will be filled
+    return MatchResult(disparity_px, reasons, step_px, functools.partial(agreement, disparity_px, lead))

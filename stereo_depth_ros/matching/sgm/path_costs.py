@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Semi-global path costs in 8 bits: one step along a path, and a row of steps from the row before.
+
+L(p, d) = C(p, d) + min(L(p-r, d), L(p-r, d +- 1) + P1, min_k L(p-r, k) + P2) - min_k L(p-r, k)
+(Hirschmueller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008, equation 13).
+
+L <= max C + P2, so that with max C + P1 + P2 <= 255 all intermediates fit in 8 bits, and a vector register holds twice
+as many of them as of 16 bits. Arrays of path costs have one more element at either end, 255 - P1, which never wins.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.types import U8
+
+__all__ = ["LARGEST_PATH_COST", "path_step", "start_path", "step_row"]
+
+LARGEST_PATH_COST = 255
+_TOP = np.uint8(LARGEST_PATH_COST)
+
+
+@compiled(allocates=False)
+def path_step(before: U8, least: np.uint8, cost: U8, P1: np.uint8, P2: np.uint8, after: U8) -> np.uint8:
+    """One step of all disparities of a pixel; returns the least of the new path costs.
+
+    Args:
+        before: uint8 (K + 2,), path costs of the pixel before.
+        least: the least of them.
+        cost: uint8 (K,), matching costs of this pixel.
+        after: uint8 (K + 2,), receives the path costs of this pixel.
+    """
+    best = _TOP
+    for k in range(cost.size):
+        near = np.uint8(min(before[k], before[k + 2]) + P1)
+        lower = min(np.uint8(min(before[k + 1], near) - least), P2)
+        total = np.uint8(lower + cost[k])
+        after[k + 1] = total
+        best = min(best, total)
+    return best
+
+
+@compiled(allocates=False)
+def start_path(cost: U8, after: U8) -> np.uint8:
+    """The first pixel of a path: its matching costs; returns the least of them."""
+    best = _TOP
+    for k in range(cost.size):
+        after[k + 1] = cost[k]
+        best = min(best, cost[k])
+    return best
+
+
+@compiled(allocates=False)
+def step_row(
+    image: U8,
+    image_before: U8,
+    shift: int,
+    cost: U8,
+    P1: np.uint8,
+    P2: U8,
+    before: U8,
+    least_before: U8,
+    after: U8,
+    least_after: U8,
+) -> None:
+    """Moves the paths of a row to the next, ``shift`` columns on; paths that would come from outside begin here.
+
+    Args:
+        image, image_before: uint8 (W,), rows of the left image, this and the one before.
+        cost: uint8 (W, K), matching costs of this row.
+        P2: uint8 (256,), the penalty by the grey difference of the two pixels.
+        before, least_before: uint8 (W, K + 2) and (W,), path costs of the row before and the least of each pixel.
+        after, least_after: the same of this row, written.
+    """
+    width = image.size
+    for x in range(width):
+        x_before = x - shift
+        if x_before < 0 or x_before >= width:
+            least_after[x] = start_path(cost[x], after[x])
+        else:
+            edge = abs(np.int64(image[x]) - np.int64(image_before[x_before]))
+            least_after[x] = path_step(before[x_before], least_before[x_before], cost[x], P1, P2[edge], after[x])

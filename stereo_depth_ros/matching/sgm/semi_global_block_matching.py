@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Semi-global block matching: OpenCV's StereoSGBM behind the Matcher protocol."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import cv2
+import numpy as np
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.bands import run_bands
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.types import U8, MatchResult, Reason
+from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter, disparity_from_fixed
+from stereo_depth_ros.matching.local_consistency import agreement
+from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.serial import SerialMatcher
+
+__all__ = ["SemiGlobalBlockMatcher", "penalties"]
+
+MODES = (
+    cv2.STEREO_SGBM_MODE_SGBM,
+    cv2.STEREO_SGBM_MODE_HH,
+    cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    cv2.STEREO_SGBM_MODE_HH4,
+)
+LARGEST_TOTAL = 2**15 - 1  # OpenCV sums in 16 bits
+BORDER = int(Reason.BORDER)
+NO_MATCH = int(Reason.NO_MATCH)
+
+
+class SemiGlobalBlockMatcher(SerialMatcher):
+    """``cv2.StereoSGBM`` (Hirschmueller 2008, with block costs of Birchfield and Tomasi 1998).
+
+    One run over the whole image: paths cross all rows, so bands would change the result. ``uniqueness_ratio``, ``P1``
+    and ``P2`` are rounded to whole numbers, see :func:`penalties`; ``disp12_max_diff`` 0 is 1 px, as in OpenCV. OpenCV
+    does not tell why it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle
+    filter is ours, with OpenCV's result, and has its own reason.
+    """
+
+    name = "sgbm"
+    step_px = 1 / FIXED_STEPS
+
+    def __init__(self, config: MatchingConfig) -> None:
+        """ConfigError where OpenCV would crash or return wrong disparities with these parameters."""
+        check_search(config)
+        _check_window(config)
+        P1, P2 = penalties(config)
+        uniqueness = round(config.uniqueness_ratio)
+        if config.sgbm_mode == 2 and uniqueness == 100:
+            raise ConfigError(
+                f"uniqueness_ratio = {config.uniqueness_ratio:g} divides by zero in sgbm_mode 2: take 99 or less"
+            )
+        super().__init__(config)
+        self._invalid = (config.min_disparity - 1) * FIXED_STEPS
+        self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * FIXED_STEPS)
+        self._fixed: I16 = np.empty((0, 0), np.int16)
+        self._sgbm = cv2.StereoSGBM.create(
+            minDisparity=config.min_disparity,
+            numDisparities=config.num_disparities,
+            blockSize=config.correlation_window_size,
+            P1=P1,
+            P2=P2,
+            disp12MaxDiff=config.disp12_max_diff,
+            preFilterCap=config.prefilter_cap,
+            uniquenessRatio=uniqueness,
+            speckleWindowSize=0,
+            speckleRange=0,
+            mode=MODES[config.sgbm_mode],
+        )
+
+    def _match(self, left: U8, right: U8) -> MatchResult:
+        config = self.config
+        check_pair(left, right, config)
+        disparity_px = np.empty(left.shape, np.float32)
+        reasons = np.empty(left.shape, np.uint8)
+        if self._fixed.shape != left.shape:
+            self._fixed = np.empty(left.shape, np.int16)
+        self._sgbm.compute(left, right, self._fixed)
+        begin = max(0, config.max_disparity + 1)
+        end = left.shape[1] + min(0, config.min_disparity)
+        run_bands(_reason_rows, left.shape[0], self._fixed, self._invalid, begin, end, reasons)
+        self._speckle_filter(self._fixed, reasons)
+        disparity_from_fixed(self._fixed, reasons, disparity_px)
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px))
+
+
+def penalties(config: MatchingConfig) -> tuple[int, int]:
+    """P1 and P2 as given, or where they are 0, 8 and 32 times the area of the window, as OpenCV recommends.
+
+    They grow with the window because its cost is a sum. An automatic P2 leaves room for the costs in 16 bits.
+    """
+    area = config.correlation_window_size**2
+    room = LARGEST_TOTAL - area * _largest_pixel_cost(config) // 2
+    P1 = round(config.P1) or min(8 * area, (round(config.P2) or room) // 2)
+    return P1, round(config.P2) or max(min(32 * area, room), P1 + 1)
+
+
+def _largest_pixel_cost(config: MatchingConfig) -> int:
+    return 2 * config.prefilter_cap + 63  # gradient, and grey / 4
+
+
+def _check_window(config: MatchingConfig) -> None:
+    """ConfigError where OpenCV's 16-bit costs overflow: it then returns dense, wrong disparities."""
+    # real windows stay below half of the worst case
+    largest = math.isqrt(2 * LARGEST_TOTAL // _largest_pixel_cost(config))
+    if config.correlation_window_size > largest:
+        raise ConfigError(
+            f"correlation_window_size = {config.correlation_window_size} overflows the 16-bit costs of sgbm with "
+            f"prefilter_cap = {config.prefilter_cap}: take {largest - 1 + largest % 2} or less"
+        )
+
+
+@compiled("void(int64, int64, int16[:, ::1], int64, int64, int64, uint8[:, ::1])")
+def _reason_rows(first: int, last: int, fixed: I16, invalid: int, begin: int, end: int, reasons: U8) -> None:
+    for y in range(first, last):
+        for x in range(fixed.shape[1]):
+            outside = BORDER if x < begin or x >= end else NO_MATCH
+            reasons[y, x] = 0 if fixed[y, x] != invalid else outside

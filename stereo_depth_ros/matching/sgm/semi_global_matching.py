@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Semi-global matching of census costs: the default, for frame rate."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.bands import core_count, run_bands
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.types import F32, U8, MatchResult
+from stereo_depth_ros.matching.costs.census import CENSUS_BITS, U64, census_rows
+from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
+from stereo_depth_ros.matching.filters.hole_filling import fill_holes
+from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter
+from stereo_depth_ros.matching.local_consistency import agreement
+from stereo_depth_ros.matching.protocol import check_pair
+from stereo_depth_ros.matching.serial import SerialMatcher
+from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST
+from stereo_depth_ros.matching.sgm.strips import (
+    SPECKLE_STEPS_PER_PX,
+    STEPS_PER_PX,
+    Output,
+    Scratch,
+    Search,
+    match_bands,
+)
+
+__all__ = ["SemiGlobalMatcher"]
+
+EDGE_GREY_LEVELS = 6.0  # at this difference of neighbours P2 is halved
+UNIQUENESS_SHARE = 1 / 3  # of uniqueness_ratio: sums over paths differ less than the window sums that it is made for
+STRIP_BYTES = 24 << 20  # of costs; smaller ones stay in the cache, larger ones have less approach
+APPROACH_ROWS = 16
+APPROACH_BYTES = 64 << 20  # of costs; searches of thousands of disparities approach their strips over fewer rows
+_NAN = np.float32(np.nan)
+
+
+class SemiGlobalMatcher(SerialMatcher):
+    """Semi-global matching (Hirschmueller 2008) of census costs (Zabih and Woodfill 1994).
+
+    Costs are Hamming distances of 9 x 7 census codes, smoothed over 3 x 3 pixels. They are summed along ``sgm_paths``
+    directions, with P2 lowered at edges of the left image: P2 / (1 + |difference| / 6), not below P1. The best
+    disparity has a sub-pixel part from two lines of equal slope, whose pull towards whole pixels is taken back
+    (Haller and Nedevschi 2012). The left-right check compares with what the right pixels prefer in the same sums.
+    Then speckles go, and ``disparity_filter`` evens out what is left.
+
+    Vertical paths run over strips of rows, each with 16 rows of approach: strips are independent, and their costs stay
+    in the cache (as the stripes of Spangenberg et al. 2014). Their heights follow from the image size and the search
+    alone, so that the result does not depend on the number of cores.
+
+    A winner leads the best sum that is at least 2 px away by (second - best) / second, which must be a third of
+    ``uniqueness_ratio`` percent; it is 0 where the right image shows no second. The confidence is this lead times the
+    share of disparities around that agree, computed when it is asked for. With ``fill_holes``
+    every pixel has a disparity; those filled have confidence 0.
+    """
+
+    name = "sgm"
+    step_px = 1 / STEPS_PER_PX
+
+    def __init__(self, config: MatchingConfig) -> None:
+        """ConfigError where the penalties contradict each other."""
+        _check_penalties(config)
+        super().__init__(config)
+        self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * SPECKLE_STEPS_PER_PX)
+        self._disparity_filter = DisparityFilter(config.disparity_filter, self.step_px)
+        lowered = config.sgm_P2 * EDGE_GREY_LEVELS / (EDGE_GREY_LEVELS + np.arange(256))
+        self._search = Search(
+            max_disparity=config.max_disparity,
+            uniqueness=UNIQUENESS_SHARE * config.uniqueness_ratio / 100,
+            tolerance=max(config.disp12_max_diff, 1),
+            P1=np.uint8(config.sgm_P1),
+            P2=np.maximum(lowered, config.sgm_P1).astype(np.uint8),
+            ramp=np.arange(config.num_disparities, dtype=np.uint32),
+            approach_rows=APPROACH_ROWS,
+        )
+        self._census: U64 = np.empty((2, 0, 0), np.uint64)
+
+    def _match(self, left: U8, right: U8) -> MatchResult:
+        check_pair(left, right, self.config, partial=True)
+        disparity_px = np.empty(left.shape, np.float32)
+        reasons = np.empty(left.shape, np.uint8)
+        lead = np.empty(left.shape, np.float32)
+        if self._census.shape[1:] != left.shape:
+            self._allocate(*left.shape)
+        left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
+        run_bands(census_rows, len(left), left, self._census[0])
+        run_bands(census_rows, len(left), right, self._census[1])
+        output = Output(disparity_px, self._coarse, reasons, lead)
+        bands = len(self._scratch.raw)
+        given = (left, self._census, self._search)
+        run_bands(match_bands, bands, bands, self._strips, *given, self._scratch, output, min_rows=1)
+        self._speckle_filter(self._coarse, reasons)
+        run_bands(_reject_rows, len(left), reasons, disparity_px, lead)
+        self._disparity_filter(disparity_px)
+        if self.config.fill_holes:
+            fill_holes(disparity_px, reasons)
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px, lead))
+
+    def _allocate(self, height: int, width: int) -> None:
+        count = self.config.num_disparities
+        approach = min(max(APPROACH_BYTES // (width * count), 2), APPROACH_ROWS)
+        rows = min(max(STRIP_BYTES // (2 * width * count), approach), 128)
+        self._strips = min(4 * -(-height // (4 * rows)), height)  # a multiple of 4, for even shares of 2 or 4 cores
+        highest = -(-height // self._strips)
+        bands = min(core_count(), self._strips)
+        self._scratch = Scratch.allocate(bands, min(highest + 2 * approach, height), width, self.config)
+        self._search = self._search._replace(approach_rows=approach)
+        self._coarse: I16 = np.zeros((height, width), np.int16)
+        self._census = np.empty((2, height, width), np.uint64)
+
+
+def _check_penalties(config: MatchingConfig) -> None:
+    total, largest = config.sgm_P1 + config.sgm_P2, LARGEST_PATH_COST - CENSUS_BITS
+    if config.sgm_P2 <= config.sgm_P1:
+        raise ConfigError(f"sgm_P2 = {config.sgm_P2} is not above sgm_P1 = {config.sgm_P1}: raise sgm_P2")
+    if total > largest:
+        raise ConfigError(f"sgm_P1 + sgm_P2 = {total} is above {largest}, all that 8-bit sums can hold: lower one")
+
+
+@compiled("void(int64, int64, uint8[:, ::1], float32[:, ::1], float32[:, ::1])")
+def _reject_rows(first: int, last: int, reasons: U8, disparity_px: F32, lead: F32) -> None:
+    for y in range(first, last):
+        for x in range(reasons.shape[1]):
+            if reasons[y, x]:
+                disparity_px[y, x] = _NAN
+                lead[y, x] = 0

@@ -1,0 +1,145 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How the pixels of each ROS image encoding lie in a message, and how they become mono8, rgb8 or bgr8."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from stereo_depth_ros.core.errors import ImageError, MessageError
+from stereo_depth_ros.core.types import U8
+
+__all__ = ["ENCODINGS", "StoredEncoding", "imdecode", "payload_dtype", "to_8_bit", "to_decoded"]
+
+
+@dataclass(frozen=True)
+class StoredEncoding:
+    """One encoding as it lies in the payload of a sensor_msgs/Image.
+
+    Attributes:
+        decoded: what it becomes: "mono8", "rgb8" or "bgr8".
+        samples: samples per pixel of a row.
+        sample_bytes: bytes per sample, 1 or 2.
+        cvt_code: code of cv2.cvtColor that makes ``decoded`` of it, None where nothing is to be done.
+        multiple: (height, width) of the smallest block that has all colours; an image is whole blocks.
+        smallest: least height and width that can be decoded.
+        payload_rows: payload rows per two image rows; above 2 where a chroma plane follows the luma plane.
+    """
+
+    decoded: str
+    samples: int = 1
+    sample_bytes: int = 1
+    cvt_code: int | None = None
+    multiple: tuple[int, int] = (1, 1)
+    smallest: int = 1
+    payload_rows: int = 2
+
+
+def _bayer(cvt_code: int, sample_bytes: int) -> StoredEncoding:
+    # OpenCV interpolates from neighbours and leaves an image without an interior black.
+    return StoredEncoding("bgr8", 1, sample_bytes, cvt_code, smallest=3)
+
+
+def _yuv422(cvt_code: int) -> StoredEncoding:
+    return StoredEncoding("bgr8", 2, 1, cvt_code, multiple=(1, 2))
+
+
+def _yuv420(cvt_code: int) -> StoredEncoding:
+    return StoredEncoding("bgr8", 1, 1, cvt_code, multiple=(2, 2), payload_rows=3)
+
+
+# ROS names a mosaic by its first two pixels of the first two rows. OpenCV's short names (BayerBG) start one row and one
+# column later, its long names (BayerRGGB) are those of ROS.
+_BAYER_CODES = {
+    "bayer_rggb": cv2.COLOR_BayerRGGB2BGR,
+    "bayer_bggr": cv2.COLOR_BayerBGGR2BGR,
+    "bayer_gbrg": cv2.COLOR_BayerGBRG2BGR,
+    "bayer_grbg": cv2.COLOR_BayerGRBG2BGR,
+}
+
+ENCODINGS: dict[str, StoredEncoding] = {
+    "mono8": StoredEncoding("mono8"),
+    "8UC1": StoredEncoding("mono8"),
+    "mono16": StoredEncoding("mono8", 1, 2),
+    "16UC1": StoredEncoding("mono8", 1, 2),
+    "rgb8": StoredEncoding("rgb8", 3),
+    "bgr8": StoredEncoding("bgr8", 3),
+    "8UC3": StoredEncoding("bgr8", 3),
+    "rgba8": StoredEncoding("rgb8", 4, 1, cv2.COLOR_RGBA2RGB),
+    "bgra8": StoredEncoding("bgr8", 4, 1, cv2.COLOR_BGRA2BGR),
+    **{f"{name}8": _bayer(code, 1) for name, code in _BAYER_CODES.items()},
+    **{f"{name}16": _bayer(code, 2) for name, code in _BAYER_CODES.items()},
+    "yuv422": _yuv422(cv2.COLOR_YUV2BGR_UYVY),
+    "uyvy": _yuv422(cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422_yuy2": _yuv422(cv2.COLOR_YUV2BGR_YUY2),
+    "yuyv": _yuv422(cv2.COLOR_YUV2BGR_YUY2),
+    "nv12": _yuv420(cv2.COLOR_YUV2BGR_NV12),
+    "nv21": _yuv420(cv2.COLOR_YUV2BGR_NV21),
+}
+
+
+# encoding: (little-endian dtype in the payload, channels)
+_WRITTEN = {"mono8": ("u1", 1), "rgb8": ("u1", 3), "bgr8": ("u1", 3), "16UC1": ("<u2", 1), "32FC1": ("<f4", 1)}
+
+
+def payload_dtype(pixels: NDArray[Any], encoding: str) -> np.dtype[Any]:
+    """The dtype that ``pixels`` of ``encoding`` have in the payload of a message we write, little-endian.
+
+    Raises:
+        MessageError: not one of mono8, rgb8, bgr8, 16UC1, 32FC1.
+        ImageError: pixels of another type or shape than the encoding has.
+    """
+    if encoding not in _WRITTEN:
+        raise MessageError(f"encoding = {encoding!r} is not written: take one of {', '.join(_WRITTEN)}")
+    name, channels = _WRITTEN[encoding]
+    dtype = np.dtype(name)
+    native = dtype.newbyteorder("=")
+    trailing = (channels,) if channels > 1 else ()
+    if pixels.dtype != native or pixels.ndim < 2 or pixels.shape[2:] != trailing or not pixels.size:
+        shape = f"(H, W, {channels})" if trailing else "(H, W)"
+        raise ImageError(
+            f"pixels are {pixels.dtype} {pixels.shape}, {encoding} takes {native} {shape} of at least one pixel: "
+            "convert them, or name the encoding they have"
+        )
+    return dtype
+
+
+def to_8_bit(samples: NDArray[Any]) -> U8:
+    """uint8 of uint8 (unchanged) or native uint16 samples of any shape.
+
+    65535 becomes 255, as in cv_bridge: v * 255 / 65535, rounded. Of 10- or 12-bit data in 16 bits only the top is left;
+    its driver should publish it shifted up.
+    """
+    if samples.dtype == np.uint8:
+        return samples
+    return np.asarray(cv2.convertScaleAbs(samples, alpha=255.0 / 65535.0), np.uint8)
+
+
+def to_decoded(samples: NDArray[Any], encoding: StoredEncoding) -> U8:
+    """uint8 (H, W) or (H, W, 3) pixels in ``encoding.decoded`` order of the stored samples."""
+    pixels = to_8_bit(samples)
+    if encoding.cvt_code is None:
+        return pixels
+    return np.asarray(cv2.cvtColor(pixels, encoding.cvt_code), np.uint8)
+
+
+_JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
+
+
+def imdecode(data: Any) -> NDArray[Any] | None:
+    """uint8 or uint16 (H, W), (H, W, 3) or (H, W, 4) as stored; None where ``data`` is no whole image of that."""
+    content = bytes(data)
+    # Some versions of OpenCV fill what is missing of a truncated jpeg with grey and say nothing. A marker cannot occur
+    # inside a scan, so a whole file has its end marker behind the start of its last scan.
+    if content.startswith(_JPEG_START) and content.rfind(_JPEG_END) < content.rfind(_JPEG_SCAN):
+        return None
+    try:
+        stored = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    return stored if stored is not None and stored.dtype in (np.uint8, np.uint16) else None

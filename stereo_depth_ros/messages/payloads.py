@@ -1,0 +1,28 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Message payloads that are reused from frame to frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.messages.types import MessageTypes
+
+__all__ = ["PayloadPool"]
+
+
+class PayloadPool:
+    """Message payloads that are used again for every frame: a message is good until the next of its kind is made."""
+
+    def __init__(self, types: MessageTypes) -> None:
+        self._types = types
+        self._payloads: dict[tuple[str, int], tuple[Any, U8]] = {}
+
+    def get(self, kind: str, nbytes: int) -> tuple[Any, U8]:
+        """The payload of that kind and size, zeroed when it is first made."""
+        key = (kind, nbytes)
+        if key not in self._payloads:
+            self._payloads = {k: v for k, v in self._payloads.items() if k[0] != kind}
+            self._payloads[key] = self._types.payload(nbytes)
+        return self._payloads[key]

@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The health of the calibration in use: row errors of live rectified pairs, and a correction where it is asked for."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from stereo_depth_ros.calibration.auto_correction import AutoCorrection, Correction
+from stereo_depth_ros.calibration.misalignment import CorrectionLimits, Misalignment, MisalignmentEstimator
+from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
+from stereo_depth_ros.config import HealthConfig
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera_info import sensor_intrinsics
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.types import stamp_ns
+from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
+from stereo_depth_ros.nodes.runner import run
+
+__all__ = ["HealthNode", "main"]
+
+MIN_MATCHES = 20  # of one pair, below which it shows nothing
+_AXES = ("pitch", "yaw", "roll")
+_FIGURES = (
+    "row_median_px",
+    "row_rms_px",
+    *(f"{name}_deg" for name in _AXES),
+    "scale",
+    "vertical_shift_px",
+    *(f"{name}_sigma_deg" for name in _AXES),
+    "scale_sigma",
+    "matches",
+)
+_LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class HealthNode(StereoNode):
+    """Subscribes {left,right}/{image_rect,camera_info}, publishes health/row_error, and what it finds on /diagnostics.
+
+    With auto_correct it publishes right/camera_info_corrected, one for each right/camera_info, for the node that
+    rectifies to subscribe in its place, and health/correction, latched: what is applied.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("health_node", HealthConfig)
+        self.refuse_equal_topics("left/image_rect", "right/image_rect")
+        self._config = self.parameters.get(HealthConfig)
+        self._calibration = CalibrationInput(self)
+        self._row_error = self.add_output(Float64MultiArray, "health/row_error")
+        self._watch: _Watch | None = None
+        self._looked_at_ns = -math.inf
+        pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
+        add_image_input(self, "left/image_rect", pairs.add_left)
+        add_image_input(self, "right/image_rect", pairs.add_right)
+        if self._config.auto_correct:
+            self._corrected = self.add_output(CameraInfo, "right/camera_info_corrected")
+            self._correction = self.create_publisher(DiagnosticArray, "health/correction", _LATCHED)
+            self.add_input(CameraInfo, "right/camera_info", self._on_right_info)
+        self.stay_awake()
+
+    def _on_pair(self, left: Any, right: Any) -> None:
+        now_ns, rate = stamp_ns(left.header), self.parameters.get(HealthConfig).health_rate
+        due = not rate or not 0 <= now_ns - self._looked_at_ns < 1e9 / rate
+        if due:
+            self._looked_at_ns = now_ns
+            self._calibration.with_rig(lambda rig: self._look(left, right, rig))
+
+    def _look(self, left: Any, right: Any, rig: StereoRig) -> None:
+        frames = [decode_eye(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
+        with self.health.timed("match rows"):
+            matches = match_rows(to_gray(frames[0]), to_gray(frames[1]))
+        if self._watch is None or self._watch.rig is not rig:
+            self._watch = _Watch(rig, self._config)
+            self._say_correction(left.header.stamp)
+        if len(matches) < MIN_MATCHES:
+            self.health.counters["pairs with too few features"] += 1
+            return
+        found, corrected = self._watch.look(matches)
+        self._row_error.publish(_row_error_message(matches, found))
+        self._report(matches, found)
+        if corrected:
+            self._say_correction(left.header.stamp)
+
+    def _report(self, matches: RowMatches, found: Misalignment | None) -> None:
+        """On /diagnostics."""
+        limit_px = self.parameters.get(HealthConfig).row_error_limit
+        self.health.facts = _facts(matches, found)
+        warnings = []
+        median_px = matches.median_px if found is None else found.row_median_px
+        if median_px > limit_px:
+            warnings.append(f"median row error {median_px:.2f} px, limit {limit_px:g} px: calibrate again")
+        if found is not None and found.detected:
+            warnings.append(f"the right camera has moved: {_in_words(found)}")
+        if self._watch is not None and self._watch.refusal:
+            warnings.append(f"not corrected: {self._watch.refusal}")
+        if self._config.auto_correct and not self._corrected.wanted:
+            topic = self.resolve_topic_name("right/camera_info_corrected")
+            warnings.append(
+                f"nobody subscribes to {topic}: remap right/camera_info of the node that rectifies to it, or nothing "
+                "is corrected"
+            )
+        self.health.warning = "; ".join(warnings)
+
+    def _on_right_info(self, info: Any) -> None:
+        """The same, with what has been corrected, for the sensor; as it came until there is something."""
+        camera = self._watch.corrected_camera if self._watch is not None else None
+        corrected = info
+        if camera is not None:
+            corrected = copy.copy(info)
+            K = sensor_intrinsics(camera.K, info, self.resolve_topic_name("right/camera_info"))
+            corrected.k, corrected.r = K.ravel(), camera.R.ravel()
+        self._corrected.publish(corrected)
+
+    def _say_correction(self, stamp: Any) -> None:
+        """In the log and on the latched topic."""
+        if self._watch is None or (correction := self._watch.correction) is None:
+            return
+        text = _correction_in_words(correction)
+        if correction.steps:
+            self.get_logger().warning(f"right camera corrected by {text}: calibrate again when there is time")
+        values = {
+            **{f"{name}_deg": f"{value:.5f}" for name, value in zip(_AXES, correction.rotation_deg, strict=True)},
+            "scale": f"{correction.scale:.6f}",
+            "steps": str(correction.steps),
+        }
+        level = DiagnosticStatus.WARN if correction.steps else DiagnosticStatus.OK
+        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+        name = f"{self.get_fully_qualified_name()}: correction"
+        message = DiagnosticArray(status=[DiagnosticStatus(level=level, name=name, message=text, values=pairs)])
+        message.header.stamp = stamp
+        self._correction.publish(message)
+
+
+class _Watch:
+    """One rig under observation, corrected or not."""
+
+    def __init__(self, rig: StereoRig, config: HealthConfig) -> None:
+        self.rig = rig
+        reference_deg = config.reference_yaw if config.correct_yaw else None
+        self._estimator = MisalignmentEstimator(rig, reference_deg)
+        self._auto: AutoCorrection | None = None
+        if config.auto_correct:
+            self._auto = AutoCorrection(rig, CorrectionLimits(config.correction_limit), reference_deg)
+
+    def look(self, matches: RowMatches) -> tuple[Misalignment | None, bool]:
+        """What is known after this pair, and whether a correction was made of it."""
+        return self._auto.look(matches) if self._auto else (self._estimator.add(matches), False)
+
+    @property
+    def refusal(self) -> str:
+        """Why nothing is corrected, where something should be."""
+        return self._auto.refusal if self._auto else ""
+
+    @property
+    def corrected_camera(self) -> CameraModel | None:
+        """The right camera to rectify with; None as long as it is the calibrated one."""
+        return self._auto.rig.right if self._auto and self._auto.rig is not self.rig else None
+
+    @property
+    def correction(self) -> Correction | None:
+        """What is applied; None where nothing may be."""
+        return self._auto.correction if self._auto else None
+
+
+def _row_error_message(matches: RowMatches, found: Misalignment | None) -> Any:
+    """The figures in one array; their names, in this order, are the label of its dimension. NaN is not known yet."""
+    unknown = [math.nan] * (len(_FIGURES) - 3)
+    values = [matches.median_px, matches.rms_px, *unknown, float(len(matches))]
+    if found is not None:
+        estimated = [*found.rotation_deg, found.scale, found.shift_px, *found.rotation_sigma_deg, found.scale_sigma]
+        values = [matches.median_px, matches.rms_px, *estimated, float(len(matches))]
+    message = Float64MultiArray(data=[float(value) for value in values])
+    label = ",".join(_FIGURES)
+    message.layout.dim = [MultiArrayDimension(label=label, size=len(values), stride=len(values))]
+    return message
+
+
+def _facts(matches: RowMatches, found: Misalignment | None) -> dict[str, str]:
+    facts = {"row error median px": f"{matches.median_px:.3f}", "row error rms px": f"{matches.rms_px:.3f}"}
+    if found is None:
+        return facts
+    facts |= {"row error median px": f"{found.row_median_px:.3f}", "row error rms px": f"{found.row_rms_px:.3f}"}
+    for name, value, sigma in zip(_AXES, found.rotation_deg, found.rotation_sigma_deg, strict=True):
+        facts[f"{name} deg"] = f"{value:+.4f} +- {sigma:.4f}"
+    facts["scale"] = f"{found.scale:+.5f} +- {found.scale_sigma:.5f}"
+    facts["vertical shift px"] = f"{found.shift_px:+.3f}"
+    return facts | {"matches": str(found.matches), "pairs": str(found.frames)}
+
+
+def _in_words(found: Misalignment) -> str:
+    degrees = dict(zip(_AXES, found.rotation_deg, strict=True))
+    return ", ".join(
+        f"{name} {100 * found.scale:+.3f} %" if name == "scale" else f"{name} {degrees[name]:+.3f} deg"
+        for name in found.significant
+    )
+
+
+def _correction_in_words(correction: Correction) -> str:
+    turn = ", ".join(f"{name} {value:+.3f}" for name, value in zip(_AXES, correction.rotation_deg, strict=True))
+    return f"{turn} deg, focal length {100 * correction.scale:+.3f} %"
+
+
+def main() -> int:
+    """Run the node."""
+    return run(HealthNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

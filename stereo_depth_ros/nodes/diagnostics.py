@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a node says of itself: counters, throttled messages, stage timings, and a DiagnosticArray every second."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections import Counter, deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from stereo_depth_ros.core.errors import StereoDepthError
+
+__all__ = ["Health"]
+
+_QUIET_S = 5.0  # the same complaint is logged at most once in this time
+_WINDOW = 100  # frames over which timings are told
+
+
+class Health:
+    """Counters and complaints of a node; a complaint is an error that is survived.
+
+    Args:
+        node: logs and publishes.
+
+    Attributes:
+        counters: by name.
+        facts: what else is published of the node, by name.
+        warning: what is not right though the node works; empty for nothing.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.counters: Counter[str] = Counter()
+        self.facts: dict[str, str] = {}
+        self.warning = ""
+        self._timings_ms: dict[str, deque[float]] = {}
+        self._said_at: dict[str, float] = {}
+        self._last_complaint = ""
+        self._unsaid: Counter[str] = Counter()
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # A steady clock: diagnostics go on while simulated time stands still.
+        node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def complain(self, kind: str, text: str) -> None:
+        """Count ``kind``; log the text, at most every five seconds a kind."""
+        self.counters[kind] += 1
+        self._last_complaint = text
+        now = time.monotonic()
+        if now - self._said_at.get(kind, -_QUIET_S) < _QUIET_S:
+            self._unsaid[kind] += 1
+            return
+        self._said_at[kind] = now
+        more = self._unsaid.pop(kind, 0)
+        self._node.get_logger().error(f"{text} ({more} more of this kind)" if more else text)
+
+    @contextmanager
+    def guard(self) -> Iterator[None]:
+        """Nothing that arrives may kill the node: what goes wrong inside becomes a complaint."""
+        try:
+            yield
+        except StereoDepthError as error:
+            self.complain(type(error).__name__, str(error))
+        except Exception as error:  # the boundary of the node
+            if not self._node.context.ok():
+                return  # the node is shutting down: publishers are gone
+            self.complain("unexpected", f"unexpected {type(error).__name__}: {error}\n{traceback.format_exc()}")
+
+    def timing(self, timings_ms: dict[str, float]) -> None:
+        """Keep the milliseconds of the stages of one frame."""
+        for stage, ms in timings_ms.items():
+            self._timings_ms.setdefault(stage, deque(maxlen=_WINDOW)).append(ms)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Time the block as a stage."""
+        start = time.perf_counter()
+        yield
+        self.timing({stage: 1e3 * (time.perf_counter() - start)})
+
+    def publish(self) -> None:
+        """Publish counters and timings on /diagnostics."""
+        values = {**self.facts, **{name: str(count) for name, count in sorted(self.counters.items())}}
+        for stage, times in self._timings_ms.items():
+            p50, p95 = np.percentile(np.array(times), (50, 95))
+            values |= {f"{stage} p50 ms": f"{p50:.3f}", f"{stage} p95 ms": f"{p95:.3f}"}
+        complaining = time.monotonic() - max(self._said_at.values(), default=-_QUIET_S) < _QUIET_S
+        healthy = DiagnosticStatus.WARN if self.warning else DiagnosticStatus.OK
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if complaining else healthy,
+            name=self._node.get_fully_qualified_name(),
+            message=self._last_complaint if complaining else self.warning or "ok",
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)

@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The message classes of rclpy, behind the factory through which every message is built."""
+
+from __future__ import annotations
+
+import array
+import functools
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField, RegionOfInterest
+from std_msgs.msg import Header
+from stereo_msgs.msg import DisparityImage
+
+from stereo_depth_ros.core.types import F64, U8
+
+__all__ = ["RclpyTypes"]
+
+
+def _keeping_data(kind: Any, *, data: Any, **fields: Any) -> Any:
+    """A message that holds ``data`` itself: rclpy's constructor copies it, its setter with check_fields does not."""
+    message = kind(check_fields=True, **fields)
+    message.data = data
+    return message
+
+
+class RclpyTypes:
+    """MessageTypes over the installed ROS packages."""
+
+    def __init__(self) -> None:
+        self.Time: Any = Time
+        self.Header: Any = Header
+        self.Image: Any = functools.partial(_keeping_data, Image)
+        self.CompressedImage: Any = functools.partial(_keeping_data, CompressedImage)
+        self.CameraInfo: Any = CameraInfo
+        self.RegionOfInterest: Any = RegionOfInterest
+        self.PointField: Any = PointField
+        self.PointCloud2: Any = functools.partial(_keeping_data, PointCloud2)
+        self.DisparityImage: Any = DisparityImage
+
+    def payload(self, nbytes: int) -> tuple[Any, U8]:
+        """A zeroed uint8[] field and a writable uint8 (nbytes,) view on the same memory."""
+        data = array.array("B", bytes(nbytes))
+        return data, np.frombuffer(data, np.uint8)
+
+    def float64s(self, values: F64) -> Any:
+        """A float64[] field."""
+        return array.array("d", values.tolist())

@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Depth of a bag without a graph: the same pairs, the same pipeline, the same message bytes as live."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.core.errors import BagError, StereoDepthError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.evaluation.bag_score import score_disparity
+from stereo_depth_ros.messages.cdr import stamp_text
+from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.offline.provenance import provenance
+from stereo_depth_ros.offline.report import ReplayResult, percentile
+from stereo_depth_ros.outputs import ResultMessages
+from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
+
+__all__ = ["process_bag"]
+
+_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
+_AFTER_STAMP = 12  # of CDR bytes: encapsulation and stamp differ between equal calibrations
+_OUTPUTS = (
+    ("/left/image_rect", ResultMessages.left_rectified),
+    ("/left/image_rect_color", ResultMessages.left_rectified_color),
+    ("/right/image_rect", ResultMessages.right_rectified),
+    ("/disparity", ResultMessages.disparity),
+    ("/depth/image_rect", ResultMessages.depth),
+    ("/depth/camera_info", ResultMessages.depth_camera_info),
+    ("/points2", ResultMessages.cloud),
+)
+
+
+def process_bag(
+    selection: BagSelection,
+    output: Path,
+    config: PipelineConfig,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ReplayResult:
+    """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
+
+    A pair that cannot be processed is left out; the first of its kind is told in the warnings.
+
+    Args:
+        selection: which bag, topics and part of it.
+        output: the bag to write; replaced when it exists.
+        config: parameters of all stages.
+        progress: called with pairs done and pairs to do (at most).
+
+    Raises:
+        BagError, TopicError: nothing to read, cannot be written, or not one pair could be processed.
+        ConfigError: parameters that contradict each other.
+    """
+    refused: dict[str, str] = {}
+    stages_ms: dict[str, list[float]] = defaultdict(list)
+    engine = _Engine(config)
+    with BagPairs(selection, config.pairing) as pairs:
+        with BagWriter(output, compression="lz4", overwrite=True) as writer:
+            start, sent, left_out = time.perf_counter(), 0, 0
+            for sent, pair in enumerate(pairs.pairs(), start=1):
+                try:
+                    timings_ms = engine.process(pair, pairs.topics.compressed, writer)
+                except StereoDepthError as error:
+                    left_out += 1
+                    refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} left out: {error}")
+                else:
+                    for stage, ms in timings_ms.items():
+                        stages_ms[stage].append(ms)
+                progress(sent, pairs.count)
+            wall_s = time.perf_counter() - start
+            if engine.rig is None or not writer.message_count:
+                raise BagError(f"{selection.path}: no pair could be processed: {'; '.join(refused.values()) or 'none'}")
+            writer.write_metadata("stereo_depth_ros", provenance(config, engine.rig, bag=selection.path))
+        return ReplayResult(
+            bag=selection.path,
+            output=output,
+            pairs=sent,
+            unpaired_left=pairs.unpaired_left,
+            unpaired_right=pairs.unpaired_right,
+            outputs={},
+            left_out=left_out,
+            wall_s=wall_s,
+            stages_ms={stage: (percentile(times, 50), percentile(times, 95)) for stage, times in stages_ms.items()},
+            score=score_disparity(output, selection.path),
+            warnings=(*((pairs.warning,) if pairs.warning else ()), *refused.values()),
+        )
+
+
+class _Engine:
+    """Serialised pair to serialised outputs; the pipeline is made again when a camera info changes."""
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._config = config
+        self._types = RosbagsTypes()
+        self._messages = ResultMessages(self._types)
+        self._infos: tuple[bytes, bytes] | None = None
+        self._pipeline: StereoPipeline | None = None
+        self.rig: StereoRig | None = None  # of the newest pair
+
+    def process(self, pair: SerializedPair, compressed: bool, writer: BagWriter) -> dict[str, float]:
+        """Compute a pair and write its messages; milliseconds a stage."""
+        image_type = "sensor_msgs/msg/CompressedImage" if compressed else "sensor_msgs/msg/Image"
+        left = decode(self._types.deserialize(pair.left, image_type), "left image")
+        right = decode(self._types.deserialize(pair.right, image_type), "right image")
+        result = self._pipeline_of(pair).process(StereoPair(left, right))
+        writer.write_raw("/left/camera_info", _INFO_TYPE, pair.left_info, pair.stamp_ns)
+        writer.write_raw("/right/camera_info", _INFO_TYPE, pair.right_info, pair.right_stamp_ns)
+        for topic, message in self._outputs(result):
+            writer.write(topic, message, result.stamp_ns)
+        return result.timings_ms
+
+    def _outputs(self, result: StereoResult) -> Iterator[tuple[str, Any]]:
+        for topic, build in _OUTPUTS:
+            start = time.perf_counter()
+            message = build(self._messages, result)
+            result.timings_ms[f"make {topic[1:]}"] = 1e3 * (time.perf_counter() - start)
+            yield topic, message
+
+    def _pipeline_of(self, pair: SerializedPair) -> StereoPipeline:
+        infos = (pair.left_info[_AFTER_STAMP:], pair.right_info[_AFTER_STAMP:])
+        if self._pipeline is None or infos != self._infos:
+            messages = [self._types.deserialize(info, _INFO_TYPE) for info in (pair.left_info, pair.right_info)]
+            self.rig = StereoRig.from_infos(*messages)
+            self._pipeline = StereoPipeline(self._config, self.rig)
+            self._infos = infos
+        return self._pipeline

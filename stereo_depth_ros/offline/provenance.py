@@ -1,0 +1,35 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a result was made with, as names and values to write beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+from importlib import metadata
+from typing import Any
+
+from stereo_depth_ros.config import PipelineConfig, parameter_infos
+from stereo_depth_ros.core.rig import StereoRig
+
+__all__ = ["package_version", "provenance"]
+
+
+def provenance(config: PipelineConfig, rig: StereoRig | None = None, **values: Any) -> dict[str, str]:
+    """Version, every parameter by its outside name, the rectified geometry of the rig, and ``values``, all as text."""
+    record = {"version": package_version(), **{name: str(value) for name, value in values.items()}}
+    for stage in dataclasses.fields(config):
+        stage_config = getattr(config, stage.name)
+        for info in parameter_infos(stage_config):
+            record[info.name] = str(getattr(stage_config, info.field))
+    if rig is not None:
+        for name in ("f_px", "fy_px", "cx_left", "cx_right", "cy", "baseline_m"):
+            record[f"rig.{name}"] = repr(getattr(rig, name))
+    return record
+
+
+def package_version() -> str:
+    """Version of the installed package; "unknown" where it runs from a folder that was never installed."""
+    try:
+        return metadata.version("stereo_depth_ros")
+    except metadata.PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay gave: counts, latencies, percentiles and the same as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereo_depth_ros.evaluation.bag_score import BagScore
+
+__all__ = ["OutputStats", "ReplayResult", "percentile", "stage_timings"]
+
+
+@dataclass(frozen=True)
+class OutputStats:
+    """One output topic.
+
+    Attributes:
+        received: messages that belong to a pair that was sent, each pair counted once.
+        lost: pairs whose message did not come.
+        latencies_ms: from the publishing of the pair's last message to the receipt of this one, milliseconds.
+    """
+
+    received: int
+    lost: int
+    latencies_ms: tuple[float, ...] = ()
+
+    @property
+    def p50_ms(self) -> float:
+        """Median latency, milliseconds; NaN where nothing came."""
+        return percentile(self.latencies_ms, 50)
+
+    @property
+    def p95_ms(self) -> float:
+        """95th percentile of the latency, milliseconds; NaN where nothing came."""
+        return percentile(self.latencies_ms, 95)
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """What became of a bag that went through the path, live or offline.
+
+    Attributes:
+        bag, output: the bag that was read and the one that was written (None: none).
+        pairs: pairs sent.
+        unpaired_left, unpaired_right: images of the bag without a partner in the other eye.
+        outputs: per topic; empty offline.
+        left_out: pairs that could not be processed; offline only, live they are lost outputs.
+        wall_s: seconds from the first pair sent to the last output received.
+        stages_ms: stage name to (p50, p95) in milliseconds, as the nodes or the pipeline measured them.
+        score: valid fraction and error of the recorded disparities; None where nothing was recorded.
+        realtime: pairs were sent by the clock, so that losses are expected.
+        warnings: what a user must know: a truncated bag, pairs that were refused.
+    """
+
+    bag: Path
+    output: Path | None
+    pairs: int
+    unpaired_left: int
+    unpaired_right: int
+    outputs: Mapping[str, OutputStats]
+    wall_s: float
+    left_out: int = 0
+    stages_ms: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    score: BagScore | None = None
+    realtime: bool = False
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def lost(self) -> int:
+        """Messages that were expected and did not come, over all outputs."""
+        return sum(stats.lost for stats in self.outputs.values())
+
+    @property
+    def frames_per_second(self) -> float:
+        """Pairs a second, from the first pair sent to the last output received; NaN for none."""
+        return self.pairs / self.wall_s if self.wall_s > 0 else math.nan
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values for JSON: latencies as percentiles, NaN as None, paths as text."""
+        outputs = {
+            topic: {"received": s.received, "lost": s.lost, "p50_ms": s.p50_ms, "p95_ms": s.p95_ms}
+            for topic, s in self.outputs.items()
+        }
+        stages = {stage: {"p50_ms": p50, "p95_ms": p95} for stage, (p50, p95) in self.stages_ms.items()}
+        values = asdict(self) | {"outputs": outputs, "frames_per_second": self.frames_per_second, "lost": self.lost}
+        values |= {"stages_ms": stages}
+        return {key: _plain(value) for key, value in values.items()}
+
+
+def percentile(values: Sequence[float], percent: float) -> float:
+    """Percentile with linear interpolation; NaN of nothing."""
+    return float(np.percentile(np.asarray(values, np.float64), percent)) if len(values) else math.nan
+
+
+def stage_timings(values: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+    """Stage to (p50, p95) in milliseconds, from the "<stage> p50 ms" and "<stage> p95 ms" values of a diagnostic."""
+    stages = [key.removesuffix(" p50 ms") for key in values if key.endswith(" p50 ms")]
+    return {
+        stage: (float(values[f"{stage} p50 ms"]), float(values[f"{stage} p95 ms"]))
+        for stage in stages
+        if f"{stage} p95 ms" in values
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,77 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The messages of a result; the fused node publishes them and the offline engine writes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stereo_depth_ros.core.types import U8, Frame
+from stereo_depth_ros.messages.camera_info import rectified_camera_info
+from stereo_depth_ros.messages.depth import depth_message
+from stereo_depth_ros.messages.disparity import match_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.messages.payloads import PayloadPool
+from stereo_depth_ros.messages.point_cloud import cloud_message
+from stereo_depth_ros.messages.types import MessageTypes
+from stereo_depth_ros.pipeline import StereoResult
+from stereo_depth_ros.stages.point_cloud import CloudLayout
+
+__all__ = ["ResultMessages"]
+
+
+class ResultMessages:
+    """Builds the messages of results; each is good until the next of its kind is built."""
+
+    def __init__(self, types: MessageTypes) -> None:
+        self._types = types
+        self._pool = PayloadPool(types)
+
+    def left_rectified(self, result: StereoResult) -> Any:
+        """The left rectified image, grey."""
+        return self._image("left", result.rectified.left, "mono8", result.pair.left)
+
+    def left_rectified_color(self, result: StereoResult) -> Any:
+        """The left rectified image in the colours it came in."""
+        rectified = result.rectified
+        return self._image("left color", rectified.left_color, rectified.color_encoding, result.pair.left)
+
+    def right_rectified(self, result: StereoResult) -> Any:
+        """The right rectified image, grey."""
+        return self._image("right", result.rectified.right, "mono8", result.pair.right)
+
+    def disparity(self, result: StereoResult) -> Any:
+        """The DisparityImage."""
+        matching = result.config.matching
+        return match_message(
+            self._types, self._pool, result.disparity, matching, result.calibrated_rig, result.pair.left
+        )
+
+    def depth(self, result: StereoResult) -> Any:
+        """The depth image, metres or millimetres as configured."""
+        encoding = result.config.depth.depth_encoding
+        return depth_message(self._types, self._pool, result.depth_m, encoding, result.stamp_ns, result.frame_id)
+
+    def depth_camera_info(self, result: StereoResult) -> Any:
+        """The camera info of the depth image: no distortion, no rotation."""
+        return rectified_camera_info(self._types, result.rig.left, result.stamp_ns, result.frame_id)
+
+    def cloud(self, result: StereoResult) -> Any:
+        """The point cloud."""
+        layout = CloudLayout.of(result.config.cloud)
+        disparity_px = result.disparity.disparity_px
+        return cloud_message(
+            self._types,
+            disparity_px,
+            result.triangulation,
+            layout,
+            stamp_ns=result.stamp_ns,
+            frame_id=result.frame_id,
+            color=result.rectified.left_color,
+            color_encoding=result.rectified.color_encoding,
+            payload=self._pool.get(f"cloud {layout}", disparity_px.size * layout.point_step),
+        )
+
+    def _image(self, kind: str, pixels: U8, encoding: str, source: Frame) -> Any:
+        payload = self._pool.get(kind, pixels.nbytes)
+        return image_message(self._types, pixels, encoding, source.stamp_ns, source.frame_id, payload)

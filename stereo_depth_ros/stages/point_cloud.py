@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Organised point clouds: from disparities straight into the bytes of a PointCloud2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_depth_ros.config import CloudConfig
+from stereo_depth_ros.core.bands import run_bands
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.triangulation import Triangulation, pixel_depth
+from stereo_depth_ros.core.types import F32, U8
+
+__all__ = ["CloudLayout", "pack_points"]
+
+_WORDS = "float32[:, :, ::1]"
+
+
+@dataclass(frozen=True)
+class CloudLayout:
+    """Where a point's numbers stand; x, y, z are float32 at bytes 0, 4 and 8, metres, NaN where invalid.
+
+    Attributes:
+        point_step: bytes a point.
+        rgb_offset: byte at which the packed colour stands (as float32, bytes blue, green, red, 0), or None.
+    """
+
+    point_step: int
+    rgb_offset: int | None
+
+    @classmethod
+    def of(cls, config: CloudConfig) -> CloudLayout:
+        """The layouts of stereo_image_proc: 32 bytes with colour, 16 without; unpadded 16 and 12."""
+        if config.avoid_point_cloud_padding:
+            return cls(16, 12) if config.use_color else cls(12, None)
+        return cls(32, 16) if config.use_color else cls(16, None)
+
+
+def pack_points(
+    disparity_px: F32,
+    triangulation: Triangulation,
+    layout: CloudLayout,
+    points: U8,
+    color: U8 | None = None,
+    color_encoding: str = "mono8",
+) -> None:
+    """Write the points of a disparity map, row by row, into the payload of an organised cloud.
+
+    Args:
+        disparity_px: float32 (H, W), NaN where invalid.
+        triangulation: the geometry of the rig.
+        layout: the bytes of a point.
+        points: uint8 (H * W * point_step,), the payload; padding bytes are left as they are.
+        color: uint8 (H, W) or (H, W, 3), the left rectified image; needed where the layout has a colour.
+        color_encoding: "mono8", "rgb8" or "bgr8".
+
+    Raises:
+        ImageError: the image has another size than the disparities, or the payload another length.
+    """
+    height, width = disparity_px.shape
+    if points.nbytes != height * width * layout.point_step:
+        raise ImageError(
+            f"payload of {points.nbytes} bytes, {width}x{height} points of {layout.point_step} take "
+            f"{height * width * layout.point_step}: allocate that many"
+        )
+    t = triangulation
+    geometry = (
+        np.float32(t.doffs_px),
+        np.float32(t.f_px * t.baseline_m),
+        ((np.arange(width) - t.cx_px) / t.f_px).astype(np.float32),
+        ((np.arange(height) - t.cy_px) / t.fy_px).astype(np.float32),
+    )
+    words = points.view(np.float32).reshape(height, width, layout.point_step // 4)
+    if layout.rgb_offset is None:
+        run_bands(_pack_xyz, height, disparity_px, *geometry, words)
+        return
+    if color is None or color.shape[:2] != (height, width):
+        shape = None if color is None else color.shape[:2]
+        raise ImageError(
+            f"left image of {shape}, the disparities have {(height, width)} (rows, columns): "
+            "send the left image that the disparities were made from, or set use_color to false"
+        )
+    colors = color.reshape(height, width, -1)
+    channels = {"mono8": (0, 0, 0), "rgb8": (0, 1, 2), "bgr8": (2, 1, 0)}[color_encoding]
+    red, green, blue = channels
+    rgb = points.view(np.uint32).reshape(words.shape)
+    word = layout.rgb_offset // 4
+    run_bands(_pack_xyz_rgb, height, disparity_px, *geometry, words, rgb, word, colors, red, green, blue)
+
+
+@compiled(f"void(int64, int64, float32[:, ::1], float32, float32, float32[::1], float32[::1], {_WORDS})")
+def _pack_xyz(
+    first: int,
+    last: int,
+    disparity_px: F32,
+    doffs: np.float32,
+    f_baseline: np.float32,
+    rays_x: F32,
+    rays_y: F32,
+    xyz: F32,
+) -> None:
+    for v in range(first, last):
+        for u in range(disparity_px.shape[1]):
+            z = pixel_depth(disparity_px[v, u], doffs, f_baseline)
+            xyz[v, u, 0] = rays_x[u] * z
+            xyz[v, u, 1] = rays_y[v] * z
+            xyz[v, u, 2] = z
+
+
+@compiled(
+    f"void(int64, int64, float32[:, ::1], float32, float32, float32[::1], float32[::1], {_WORDS}, uint32[:, :, ::1], "
+    "int64, Array(uint8, 3, 'C', readonly=True), int64, int64, int64)"
+)
+def _pack_xyz_rgb(
+    first: int,
+    last: int,
+    disparity_px: F32,
+    doffs: np.float32,
+    f_baseline: np.float32,
+    rays_x: F32,
+    rays_y: F32,
+    xyz: F32,
+    rgb: U8,
+    word: int,
+    colors: U8,
+    red: int,
+    green: int,
+    blue: int,
+) -> None:
+    for v in range(first, last):
+        for u in range(disparity_px.shape[1]):
+            z = pixel_depth(disparity_px[v, u], doffs, f_baseline)
+            xyz[v, u, 0] = rays_x[u] * z
+            xyz[v, u, 1] = rays_y[v] * z
+            xyz[v, u, 2] = z
+            r, g, b = np.uint32(colors[v, u, red]), np.uint32(colors[v, u, green]), np.uint32(colors[v, u, blue])
+            rgb[v, u, word] = (r << np.uint32(16)) | (g << np.uint32(8)) | b

@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rectification: raw left and right images to images of one rectified pair, whose rows agree."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import U8, RectifiedPair, StereoPair
+from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
+
+__all__ = ["Rectifier"]
+
+
+class Rectifier:
+    """Undistorts and rotates both images into the rectified cameras of a rig, by linear interpolation.
+
+    The maps are built once, in 1/32 px steps. Pixels without a source are 0; :attr:`left_source` and
+    :attr:`right_source` tell where those are. Images of an eye that needs no rectification pass through uncopied.
+
+    Args:
+        rig: raw cameras (K, D) and rectified ones (R, P).
+    """
+
+    def __init__(self, rig: StereoRig | UncalibratedRig) -> None:
+        self.rig = rig
+        self._left_maps = _build_maps(rig.left)
+        self._right_maps = _build_maps(rig.right)
+
+    def rectify(self, pair: StereoPair, out: RectifiedPair | None = None) -> RectifiedPair:
+        """Both eyes in grey, and the left one in its own colours.
+
+        Grey is taken before rectification: each grey image has the bytes that a rectifier of grey images gives.
+
+        Args:
+            pair: raw images of the size of the rig.
+            out: an earlier result of this rectifier, for images of the same encoding, to be overwritten.
+
+        Raises:
+            CalibrationError: an image has another size than the rig.
+        """
+        left = self.rectify_left(to_gray(pair.left), out.left if out else None)
+        right = self.rectify_right(to_gray(pair.right), out.right if out else None)
+        left_color = left
+        if pair.left.encoding != "mono8":
+            left_color = self.rectify_left(pair.left.pixels, out.left_color if out else None)
+        return RectifiedPair(left, right, left_color, pair.left.encoding)
+
+    def rectify_left(self, pixels: U8, out: U8 | None = None) -> U8:
+        """The rectified left image.
+
+        Args:
+            pixels: uint8 (H, W) or (H, W, C), raw.
+            out: same shape, written where the image needs rectification; not ``pixels`` itself.
+
+        Raises:
+            CalibrationError: the image has another size than the rig.
+        """
+        return self._remap(pixels, self._left_maps, out, self.rig.topics[0])
+
+    def rectify_right(self, pixels: U8, out: U8 | None = None) -> U8:
+        """The rectified right image; as :meth:`rectify_left`."""
+        return self._remap(pixels, self._right_maps, out, self.rig.topics[1])
+
+    @cached_property
+    def left_source(self) -> npt.NDArray[np.bool_]:
+        """bool (H, W), true where the rectified left pixel is made of raw pixels only."""
+        return np.equal(self.rectify_left(self._white()), 255)
+
+    @cached_property
+    def right_source(self) -> npt.NDArray[np.bool_]:
+        """bool (H, W), true where the rectified right pixel is made of raw pixels only."""
+        return np.equal(self.rectify_right(self._white()), 255)
+
+    def _white(self) -> U8:
+        return np.full((self.rig.height, self.rig.width), 255, np.uint8)
+
+    def _remap(self, pixels: U8, maps: tuple[Any, Any] | None, out: U8 | None, topic: str) -> U8:
+        height, width = pixels.shape[:2]
+        self.rig.check_image(width, height, topic)
+        if maps is None:
+            return pixels
+        remapped: U8 = cv2.remap(pixels, *maps, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_CONSTANT)
+        return remapped
+
+
+def _build_maps(camera: CameraModel) -> tuple[Any, Any] | None:
+    """Fixed-point maps from rectified to raw pixels; None where both are the same."""
+    K_rectified = camera.P[:, :3]
+    size = (camera.width, camera.height)
+    if camera.distortion_model == "equidistant":
+        return tuple(cv2.fisheye.initUndistortRectifyMap(camera.K, camera.D, camera.R, K_rectified, size, cv2.CV_16SC2))
+    moved = np.abs([camera.R - np.eye(3), camera.K - K_rectified]).max() > 1e-9
+    if not moved and not camera.D.any():
+        return None
+    D = camera.D if camera.D.size else np.zeros(5)
+    return tuple(cv2.initUndistortRectifyMap(camera.K, D, camera.R, K_rectified, size, cv2.CV_16SC2))

@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Writes a synthetic sequence as a bag: raw images, camera infos and the true disparities."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.disparity import disparity_message
+from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.synthetic.sequence import SyntheticFrame, SyntheticSequence
+
+__all__ = ["TRUTH_STEP_PX", "write_synthetic_bag"]
+
+TRUTH_STEP_PX = 1 / 256  # float32 as it comes compresses eight times worse
+
+
+def write_synthetic_bag(path: Path, sequence: SyntheticSequence, *, overwrite: bool = False) -> None:
+    """Write every frame of ``sequence``; the same sequence makes the same file.
+
+    Topics: ``/left/image_raw``, ``/left/camera_info`` and the same of ``/right``, and ``/truth/disparity``, a
+    stereo_msgs/DisparityImage for the rectified left image, rounded to 1/256 px. It holds the surfaces that the right
+    camera does not see as well.
+
+    Args:
+        path: file to make, must end in ``.mcap``.
+        sequence: what to write.
+        overwrite: replace an existing file.
+
+    Raises:
+        BagError: wrong suffix, the file exists and ``overwrite`` is false, or it cannot be made.
+    """
+    types = RosbagsTypes()
+    with BagWriter(path, overwrite=overwrite) as bag:
+        for frame in sequence:
+            _write_frame(bag, types, frame, sequence.rig)
+
+
+def _write_frame(bag: BagWriter, types: RosbagsTypes, frame: SyntheticFrame, rig: StereoRig) -> None:
+    stamp_ns = frame.pair.left.stamp_ns
+    eyes = (("/left", frame.pair.left, rig.left), ("/right", frame.pair.right, rig.right))
+    for name, eye, camera in eyes:
+        bag.write(f"{name}/camera_info", camera_info_message(types, camera, stamp_ns), stamp_ns)
+        image = image_message(types, eye.pixels, eye.encoding, stamp_ns, eye.frame_id)
+        bag.write(f"{name}/image_raw", image, stamp_ns)
+    disparity_px = np.round(frame.truth_disparity_px / np.float32(TRUTH_STEP_PX)) * np.float32(TRUTH_STEP_PX)
+    truth = disparity_message(
+        types,
+        disparity_px,
+        rig,
+        min_disparity=rig.doffs_px,  # infinitely far
+        max_disparity=float(np.fmax.reduce(disparity_px, axis=None, initial=rig.doffs_px)),
+        step_px=TRUTH_STEP_PX,
+        stamp_ns=stamp_ns,
+        frame_id=rig.frame_id,
+    )
+    bag.write("/truth/disparity", truth, stamp_ns)

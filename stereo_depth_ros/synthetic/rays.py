@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ray casting: which surface a pixel sees, at what depth, with what grey level.
+
+The kernels use only +, -, *, /, square root, floor and integer arithmetic, each correctly rounded, without fast-math:
+equal inputs give equal bytes on every machine that follows IEEE 754.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.synthetic.scene import RECTANGLE, Vector
+
+__all__ = ["depth_and_shadow", "pixel_rays", "render"]
+
+SUPERSAMPLING = 2  # rays per pixel and axis
+
+_NEAREST_M = 1e-6
+_SAME_POINT = 1.0 - 1e-9  # a surface hit before this fraction of a line of sight hides the point at its end
+_BACKGROUND = 20.0
+_FINEST_CELL_M = 0.012
+_OCTAVES = 5
+_C1, _C2, _C3 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0x165667B19E3779F9)
+_C4, _C5 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_S30, _S40 = np.uint64(30), np.uint64(40)
+
+_FLOATS, _MATRIX = "float64[::1]", "float64[:, ::1]"
+
+
+@compiled()
+def _lattice(a: int, b: int, c: int, key: int) -> float:
+    """A number in [-1, 1) for a lattice point: multiplicative hashing, the upper bits are well mixed."""
+    h = (np.uint64(a) * _C1) ^ (np.uint64(b) * _C2) ^ (np.uint64(c) * _C3) ^ (np.uint64(key) * _C5)
+    return float(np.int64(((h ^ (h >> _S30)) * _C4) >> _S40) / 8388608.0 - 1.0)
+
+
+@compiled()
+def _value_noise(x: float, y: float, z: float, key: int) -> float:
+    """Smooth noise in [-1, 1], lattice of 1 (value noise, Perlin 1985's interpolation)."""
+    a, b, c = math.floor(x), math.floor(y), math.floor(z)
+    u, v, w = x - a, y - b, z - c
+    u, v, w = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v), w * w * (3.0 - 2.0 * w)
+    total = 0.0
+    for k in range(2):
+        for j in range(2):
+            low, high = _lattice(a, b + j, c + k, key), _lattice(a + 1, b + j, c + k, key)
+            total += (v if j else 1.0 - v) * (w if k else 1.0 - w) * (low + u * (high - low))
+    return total
+
+
+@compiled()
+def _octaves(p: Vector, footprint_m: float, key: int) -> float:
+    """Noise over several scales; scales that a pixel of ``footprint_m`` cannot resolve fade out."""
+    total, power, per_m = 0.0, 0.0, 1.0 / _FINEST_CELL_M
+    for octave in range(_OCTAVES):
+        weight = min(1.0 / (per_m * footprint_m) - 1.5, 1.0)
+        if weight > 0.0:
+            total += weight * _value_noise(p[0] * per_m, p[1] * per_m, p[2] * per_m, key + octave)
+            power += weight * weight
+        per_m *= 0.5
+    return total / math.sqrt(power) if power > 0.0 else 0.0
+
+
+@compiled()
+def _wave(x: float) -> float:
+    """A smooth wave of period 1 in [-1, 1], made without trigonometry."""
+    t = abs(2.0 * (x - math.floor(x)) - 1.0)
+    return 2.0 * t * t * (3.0 - 2.0 * t) - 1.0
+
+
+@compiled()
+def _hit(row: F64, o: Vector, d: Vector, best: float) -> float:
+    """Parameter t of the first point o + t d on a primitive; ``best`` where there is none or t is not below it."""
+    x, y, z = o[0] - row[1], o[1] - row[2], o[2] - row[3]
+    if row[0] == RECTANGLE:
+        slope = row[10] * d[0] + row[11] * d[1] + row[12] * d[2]
+        if slope == 0.0:
+            return best
+        t = -(row[10] * x + row[11] * y + row[12] * z) / slope
+        if not _NEAREST_M < t < best:
+            return best
+        x, y, z = x + t * d[0], y + t * d[1], z + t * d[2]
+        v = row[7] * x + row[8] * y + row[9] * z
+        if not 0.0 <= v <= 1.0:
+            return best
+    else:
+        along_d = row[10] * d[0] + row[11] * d[1] + row[12] * d[2]  # 0 for a sphere, whose axis is zero
+        along_o = row[10] * x + row[11] * y + row[12] * z
+        ex, ey, ez = d[0] - along_d * row[10], d[1] - along_d * row[11], d[2] - along_d * row[12]
+        fx, fy, fz = x - along_o * row[10], y - along_o * row[11], z - along_o * row[12]
+        a, b = ex * ex + ey * ey + ez * ez, ex * fx + ey * fy + ez * fz
+        root = b * b - a * (fx * fx + fy * fy + fz * fz - row[13] * row[13])
+        if root < 0.0 or a == 0.0:
+            return best
+        t = (-b - math.sqrt(root)) / a
+        if not _NEAREST_M < t < best:
+            return best
+        x, y, z = x + t * d[0], y + t * d[1], z + t * d[2]
+    u = row[4] * x + row[5] * y + row[6] * z
+    return t if 0.0 <= u <= 1.0 else best
+
+
+@compiled()
+def _nearest(primitives: F64, o: Vector, d: Vector) -> tuple[float, int]:
+    """(t, index) of the first surface along o + t d; (inf, -1) where there is none."""
+    best, index = math.inf, -1
+    for i in range(primitives.shape[0]):
+        t = _hit(primitives[i], o, d, best)
+        if t < best:
+            best, index = t, i
+    return best, index
+
+
+@compiled()
+def _turned(rotation: F64, x: float, y: float) -> Vector:
+    """rotation @ (x, y, 1)."""
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2],
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2],
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2],
+    )
+
+
+@compiled()
+def _level(primitives: F64, o: Vector, d: Vector, pixel_rad: float, seed: int) -> float:
+    """Grey level that arrives along a ray whose parameter t is depth along the optical axis."""
+    t, index = _nearest(primitives, o, d)
+    if index < 0:
+        return _BACKGROUND
+    p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+    mean, contrast = float(primitives[index, 14]), float(primitives[index, 15])
+    period_m = float(primitives[index, 16])
+    if period_m > 0.0:
+        return mean + contrast * _wave(p[0] / period_m) * _wave(p[1] / period_m)
+    return mean + contrast * _octaves(p, t * pixel_rad, seed * 4096 + index * 16)
+
+
+@compiled(
+    f"void(int64, int64, {_MATRIX}, {_FLOATS}, {_MATRIX}, float64[:, :, ::1], float64, float64, float64, int64, int64, "
+    "uint8[:, ::1])"
+)
+def render(
+    first: int,
+    last: int,
+    primitives: F64,
+    origin: F64,
+    rotation: F64,
+    rays: F64,
+    pixel_rad: float,
+    gain: float,
+    noise: float,
+    texture_seed: int,
+    noise_seed: int,
+    image: U8,
+) -> None:
+    """What a camera sees, rows ``first`` to ``last`` of it.
+
+    Args:
+        first, last: rows to fill.
+        primitives: float64 (N, 17), :meth:`Scene.packed`.
+        origin: float64 (3,), the camera centre in the world, metres.
+        rotation: float64 (3, 3), camera to world.
+        rays: float64 (2H, 2W, 2), :func:`pixel_rays`.
+        pixel_rad: angle of one pixel; textures carry no detail that it cannot resolve.
+        gain: factor on all grey levels.
+        noise: bound of the sensor noise (triangular distribution), grey levels.
+        texture_seed, noise_seed: integers.
+        image: uint8 (H, W), filled.
+    """
+    n, o = SUPERSAMPLING, (origin[0], origin[1], origin[2])
+    for y in range(first, last):
+        for x in range(image.shape[1]):
+            total = 0.0
+            for row in range(n * y, n * y + n):
+                for col in range(n * x, n * x + n):
+                    d = _turned(rotation, rays[row, col, 0], rays[row, col, 1])
+                    total += _level(primitives, o, d, pixel_rad, texture_seed)
+            even = 0.5 * (_lattice(x, y, 0, noise_seed) - _lattice(x, y, 1, noise_seed))
+            image[y, x] = min(max(math.floor(gain * total / (n * n) + noise * even + 0.5), 0.0), 255.0)
+
+
+@compiled(f"void(int64, int64, {_MATRIX}, {_FLOATS}, {_MATRIX}, {_MATRIX}, {_FLOATS}, {_MATRIX}, boolean[:, ::1])")
+def depth_and_shadow(
+    first: int,
+    last: int,
+    primitives: F64,
+    origin: F64,
+    rotation: F64,
+    P: F64,
+    other: F64,
+    depth_m: F64,
+    shadow: npt.NDArray[np.bool_],
+) -> None:
+    """Exact depth of an ideal camera's pixels, and which of their points another camera does not see.
+
+    Args:
+        first, last: rows to fill.
+        primitives: float64 (N, 17), :meth:`Scene.packed`.
+        origin: float64 (3,), the camera centre in the world, metres.
+        rotation: float64 (3, 3), (rectified) camera to world.
+        P: float64 (3, 4), its projection matrix; the rays go through pixel centres.
+        other: float64 (3,), centre of the other camera in the world, metres.
+        depth_m: float64 (H, W), filled with depth along the optical axis, metres; NaN where there is no surface.
+        shadow: bool (H, W), filled with True where a surface stands between the point and the other camera.
+    """
+    o, c = (origin[0], origin[1], origin[2]), (other[0], other[1], other[2])
+    for y in range(first, last):
+        for x in range(depth_m.shape[1]):
+            d = _turned(rotation, (x - P[0, 2]) / P[0, 0], (y - P[1, 2]) / P[1, 1])
+            t, index = _nearest(primitives, o, d)
+            if index < 0:
+                depth_m[y, x], shadow[y, x] = np.nan, False
+            else:
+                sight = (o[0] + t * d[0] - c[0], o[1] + t * d[1] - c[1], o[2] + t * d[2] - c[2])
+                depth_m[y, x] = t
+                shadow[y, x] = _nearest(primitives, c, sight)[0] < _SAME_POINT
+
+
+@compiled(f"void(int64, int64, {_MATRIX}, {_FLOATS}, float64[:, :, ::1])")
+def pixel_rays(first: int, last: int, K: F64, D: F64, rays: F64) -> None:
+    """Directions through every raw pixel of a plumb_bob camera, its lens distortion inverted by fixed-point iteration.
+
+    Args:
+        first, last: rows of ``rays`` to fill.
+        K: float64 (3, 3) camera matrix, pixels.
+        D: float64 (5,), k1 k2 p1 p2 k3.
+        rays: float64 (2H, 2W, 2), filled with x / z and y / z of the 2 x 2 rays of each pixel, which lie a quarter of a
+            pixel from its centre.
+    """
+    n = SUPERSAMPLING
+    for row in range(first, last):
+        yd = ((row + 0.5) / n - 0.5 - K[1, 2]) / K[1, 1]
+        for col in range(rays.shape[1]):
+            xd = ((col + 0.5) / n - 0.5 - K[0, 2]) / K[0, 0]
+            x, y = xd, yd
+            for _ in range(50):  # each step gains a factor of 3 in the corners, more inside
+                r2 = x * x + y * y
+                radial = 1.0 + r2 * (D[0] + r2 * (D[1] + r2 * D[4]))
+                dx = 2.0 * D[2] * x * y + D[3] * (r2 + 2.0 * x * x)
+                dy = D[2] * (r2 + 2.0 * y * y) + 2.0 * D[3] * x * y
+                x, y = (xd - dx) / radial, (yd - dy) / radial
+            rays[row, col, 0], rays[row, col, 1] = x, y

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Camera files: a file as camera_calibration writes it, every digit, and every refusal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera_yaml import read_camera, write_camera
+from stereo_depth_ros.core.errors import CalibrationError
+
+RIGHT_YAML = """\
+image_width: 640
+image_height: 480
+camera_name: narrow_stereo/right
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [537.5, 0.     , 326.2,
+           0.     , 536.1, 249.7,
+           0.     , 0.     ,   1.     ]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.28, 0.07, 1e-05, -2.5e-04, 0.]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [ 1, 0, 0,
+          0, 1, 0,
+          0, 0, 1]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [ 500., 0., 320.,  -41.6,
+          0., 500., 240.,   0.  ,
+          0., 0., 1.,   0.  ]
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "right.yaml"
+    path.write_text(RIGHT_YAML)
+    return path
+
+
+@pytest.fixture
+def camera() -> CameraModel:
+    values = np.random.default_rng(5).normal(size=(30,)) * 10.0 ** np.arange(-15, 15)
+    return CameraModel(752, 480, "equidistant", values[:9], values[:4] / 3, values[9:18], values[18:])
+
+
+def test_file_of_camera_calibration(path: Path) -> None:
+    camera = read_camera(path)
+    assert (camera.width, camera.height, camera.distortion_model, camera.frame_id) == (640, 480, "plumb_bob", "")
+    np.testing.assert_array_equal(camera.K, [[537.5, 0, 326.2], [0, 536.1, 249.7], [0, 0, 1]])
+    np.testing.assert_array_equal(camera.D, [-0.28, 0.07, 1e-5, -2.5e-4, 0])
+    np.testing.assert_array_equal(camera.R, np.eye(3))
+    np.testing.assert_array_equal(camera.P, [[500, 0, 320, -41.6], [0, 500, 240, 0], [0, 0, 1, 0]])
+
+
+def test_written_is_read_to_the_last_bit(camera: CameraModel, tmp_path: Path) -> None:
+    write_camera(tmp_path / "left.yaml", camera, "left")
+    copy = read_camera(str(tmp_path / "left.yaml"))
+    assert (copy.width, copy.height, copy.distortion_model) == (752, 480, "equidistant")
+    for name in ("K", "D", "R", "P"):
+        np.testing.assert_array_equal(getattr(copy, name), getattr(camera, name))
+
+
+def test_other_readers_see_numbers(camera: CameraModel, tmp_path: Path) -> None:
+    """ROS reads with YAML 1.1, where 1e-05 without a point would be a text."""
+    yaml = pytest.importorskip("yaml")
+    write_camera(tmp_path / "left.yaml", camera, "narrow/left")
+    entries = yaml.safe_load((tmp_path / "left.yaml").read_text())
+    assert list(entries) == list(yaml.safe_load(RIGHT_YAML))
+    assert entries["camera_name"] == "narrow/left"
+    assert entries["projection_matrix"] == {"rows": 3, "cols": 4, "data": camera.P.ravel().tolist()}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("image_height: 480\n", "", "right.yaml: lacks the key 'image_height'"),
+        ("projection_matrix", "projection", "right.yaml: lacks the key 'projection_matrix'"),
+        ("537.5,", "", "right.yaml: K has 8 values, it takes 3 x 3"),
+        ("537.5", "wide", "right.yaml: a value is not a number.*wide"),
+        ("image_width: 640", "image_width: [640]", "right.yaml: a value is not a number"),
+        ("camera_matrix:", "camera_matrix: !!opencv-matrix", "right.yaml: is no plain YAML .*opencv-matrix"),
+        (RIGHT_YAML, "", "right.yaml: a value is not a number or a list"),
+    ],
+)
+def test_refused_files(path: Path, old: str, new: str, match: str) -> None:
+    path.write_text(RIGHT_YAML.replace(old, new))
+    with pytest.raises(CalibrationError, match=match):
+        read_camera(path)
+
+
+def test_files_that_cannot_be_opened(camera: CameraModel, tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match=r"none\.yaml: cannot be read .*No such file"):
+        read_camera(tmp_path / "none.yaml")
+    (tmp_path / "picture.yaml").write_bytes(b"\xff\xd8\xff\xe0")
+    with pytest.raises(CalibrationError, match=r"picture\.yaml: is no plain YAML"):
+        read_camera(tmp_path / "picture.yaml")
+    with pytest.raises(CalibrationError, match=r"left\.yaml: cannot be written"):
+        write_camera(tmp_path / "none" / "left.yaml", camera, "left")

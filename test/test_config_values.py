@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters as texts and files, and what is refused of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from documentation import render_yaml
+
+from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.core.errors import ConfigError
+
+
+def test_assignments_become_values_of_the_parameters_types() -> None:
+    texts = ["disparity_range:=128", "uniqueness_ratio:=5", "use_color:=false", "depth_encoding:=16UC1"]
+    values = parse_assignments(texts, matcher="sgbm")
+    assert values == {
+        "stereo_algorithm": 1,
+        "disparity_range": 128,
+        "uniqueness_ratio": 5.0,
+        "use_color": False,
+        "depth_encoding": "16UC1",
+    }
+    assert type(values["uniqueness_ratio"]) is float
+    config = pipeline_config(values)
+    assert config.matching.num_disparities == 128
+    assert config.matching.stereo_algorithm == 1
+    assert config.cloud.use_color is False
+    assert config.depth.depth_encoding == "16UC1"
+
+
+@pytest.mark.parametrize(
+    ("texts", "matcher", "message"),
+    [
+        (["disparity_range=128"], None, "'disparity_range=128' is not of the form name:=value"),
+        (["disparity_rang:=128"], None, "unknown parameter 'disparity_rang': did you mean 'disparity_range'"),
+        (["zzz:=1"], None, "unknown parameter 'zzz': `stereo-depth parameters` lists all"),
+        (["disparity_range:=130"], None, "disparity_range = 130 .* take 128 or 144"),
+        (["disparity_range:=[1"], None, r"disparity_range: '\[1' is no value"),
+        ([], "census", "matcher 'census' is none of bm, sgbm"),
+    ],
+)
+def test_what_cannot_be_a_parameter_is_refused(texts: list[str], matcher: str | None, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_assignments(texts, matcher)
+
+
+def test_generated_parameter_file_holds_the_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "stereo_depth.yaml"
+    path.write_text(render_yaml())
+    assert pipeline_config(read_params_file(path)) == pipeline_config({})
+
+
+def test_sections_of_several_nodes_come_together(tmp_path: Path) -> None:
+    path = tmp_path / "nodes.yaml"
+    path.write_text(
+        "disparity_node:\n  ros__parameters: {disparity_range: 96, use_sim_time: true}\n"
+        "point_cloud_node:\n  ros__parameters: {use_color: false}\n"
+    )
+    assert read_params_file(path) == {"disparity_range": 96, "use_color": False}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("disparity_range: 64\n", "is not a parameter file: write node names"),
+        ("/**: [", "is not a parameter file: while parsing"),
+        ("/**:\n  ros__parameters: {speckle: 3}\n", "unknown parameter 'speckle'"),
+    ],
+)
+def test_file_that_is_refused_is_named(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read_params_file(path)
+    with pytest.raises(ConfigError, match=r"none\.yaml is not a parameter file: .*No such file"):
+        read_params_file(tmp_path / "none.yaml")
