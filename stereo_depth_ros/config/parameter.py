@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from stereo_depth_ros.config.matchers import MATCHERS, matchers_with
 from stereo_depth_ros.core.errors import ConfigError
 
 __all__ = ["Checked", "ParameterInfo", "parameter", "parameter_infos", "replace_checked", "unknown_parameter"]
@@ -84,13 +85,23 @@ def parameter_infos(config: type | object) -> Iterator[ParameterInfo]:
     """All parameters of a config class, in the order of its fields."""
     for item in dataclasses.fields(config):  # type: ignore[arg-type]
         info = dict(item.metadata)
+        name = info.pop("name", item.name)
+        matchers = matchers_with(name)
+        if matchers and len(matchers) < len(MATCHERS):
+            info["doc"] = f"{info['doc'].removesuffix('.')}; {_listed(matchers)}."
         yield ParameterInfo(
-            name=info.pop("name", item.name),
+            name=name,
             field=item.name,
             type=type(item.default),
             default=item.default,  # type: ignore[arg-type]
             **info,
         )
+
+
+def _listed(matchers: tuple[str, ...]) -> str:
+    """The matchers, or where they are most of them, those that are missing."""
+    others = [name for name in MATCHERS if name not in matchers]
+    return f"all but {', '.join(others)}" if len(others) < len(matchers) else ", ".join(matchers)
 
 
 def unknown_parameter(name: str, known: Iterable[str]) -> ConfigError:

@@ -20,8 +20,8 @@ from stereo_depth_ros.config import (
     replace_checked,
     unknown_parameter,
 )
+from stereo_depth_ros.config.matchers import MATCHERS, matcher_number
 from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.matching import MATCHERS
 
 __all__ = ["Value", "parse_assignments", "pipeline_config", "read_params_file"]
 
@@ -40,7 +40,7 @@ def parse_assignments(assignments: Iterable[str], matcher: str | None = None) ->
     if matcher is not None:
         if matcher not in MATCHERS:
             raise ConfigError(f"matcher {matcher!r} is none of {', '.join(MATCHERS)}: take one of them")
-        values["stereo_algorithm"] = list(MATCHERS).index(matcher)
+        values["stereo_algorithm"] = matcher_number(matcher)
     for text in assignments:
         name, separator, value = text.partition(":=")
         if not separator:

@@ -6,14 +6,24 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
-from stereo_depth_ros.config import PairingConfig
-
-__all__ = ["PairingCounts", "StereoPairing"]
+__all__ = ["PairingCounts", "PairingLimits", "StereoPairing"]
 
 T = TypeVar("T")
 MAX_STEP_BACK_NS = 10**9
+
+
+class PairingLimits(Protocol):
+    """What a pairing may do: how many items of a side wait, and how far apart the stamps of a pair are."""
+
+    @property
+    def queue_size(self) -> int:
+        """Unpaired items kept per side, at least 1."""
+
+    @property
+    def tolerance_ns(self) -> int | None:
+        """Largest difference of stamps in a pair, nanoseconds; None is no limit."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +59,12 @@ class StereoPairing(Generic[T]):
     clock was set back, as when a bag is looped: both queues are cleared. Not for concurrent use.
 
     Args:
-        config: queue size and tolerance.
+        limits: queue size and tolerance.
     """
 
-    def __init__(self, config: PairingConfig) -> None:
-        self._tolerance_ns = config.tolerance_ns
-        self._queue_size = config.queue_size
+    def __init__(self, limits: PairingLimits) -> None:
+        self._tolerance_ns = limits.tolerance_ns
+        self._queue_size = limits.queue_size
         self._left: _Eye[T] = _Eye()
         self._right: _Eye[T] = _Eye()
         self._paired = 0

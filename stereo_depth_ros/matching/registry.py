@@ -6,32 +6,17 @@ from __future__ import annotations
 
 import functools
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from stereo_depth_ros.config import MatchingConfig, replace_checked
+from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.matching.protocol import Matcher
 
 __all__ = ["MATCHERS", "Matcher", "create_matcher", "matcher_from_config"]
 
 MatcherClass: TypeAlias = Callable[[MatchingConfig], Matcher]
-
-# The position of a name is its number in the parameter stereo_algorithm. Modules are imported when their method is
-# first asked for: each brings compiled kernels, some bring a library.
-MATCHERS: Mapping[str, tuple[str, str]] = {
-    "bm": ("window.block_matching", "BlockMatcher"),
-    "sgbm": ("sgm.semi_global_block_matching", "SemiGlobalBlockMatcher"),
-    "sgm": ("sgm.semi_global_matching", "SemiGlobalMatcher"),
-    "window": ("window.fixed_window", "WindowMatcher"),
-    "adaptive_window": ("window.adaptive_window", "AdaptiveWindowMatcher"),
-    "diffusion": ("global_methods.diffusion", "DiffusionMatcher"),
-    "scanline": ("global_methods.scanline", "ScanlineMatcher"),
-    "graph_cut": ("global_methods.graph_cut", "GraphCutMatcher"),
-    "belief_propagation": ("global_methods.belief_propagation", "BeliefPropagationMatcher"),
-    "features": ("features.matcher", "FeatureMatcher"),
-    "onnx": ("onnx", "OnnxMatcher"),
-}
 
 
 def create_matcher(name: str | int, config: MatchingConfig | None = None, **fields: Any) -> Matcher:
@@ -61,6 +46,6 @@ def matcher_from_config(config: MatchingConfig) -> Matcher:
 
 @functools.cache
 def _matcher_class(name: str) -> MatcherClass:
-    module, class_name = MATCHERS[name]
+    module, _, class_name = MATCHERS[name].location.partition(":")
     matcher: MatcherClass = getattr(importlib.import_module(f"stereo_depth_ros.matching.{module}"), class_name)
     return matcher
