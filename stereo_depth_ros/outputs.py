@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The messages of a result; the fused node publishes them and the offline engine writes them."""
+"""The outputs in one table: topic, type and builder of each, in the order of publishing."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.messages.camera_info import rectified_camera_info
@@ -17,7 +18,7 @@ from stereo_depth_ros.messages.types import MessageTypes
 from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.point_cloud import CloudLayout
 
-__all__ = ["ResultMessages"]
+__all__ = ["OUTPUTS", "Output", "ResultMessages"]
 
 
 class ResultMessages:
@@ -75,3 +76,29 @@ class ResultMessages:
     def _image(self, kind: str, pixels: U8, encoding: str, source: Frame) -> Any:
         payload = self._pool.get(kind, pixels.nbytes)
         return image_message(self._types, pixels, encoding, source.stamp_ns, source.frame_id, payload)
+
+
+class Output(NamedTuple):
+    """One output of the pipeline.
+
+    Attributes:
+        topic: relative to the namespace.
+        msgtype: of its messages, ``package/msg/Name``.
+        build: makes the message of a result.
+    """
+
+    topic: str
+    msgtype: str
+    build: Callable[[ResultMessages, StereoResult], Any]
+
+
+# What robots steer by goes first. The fused node, the offline engine and the replay read this table.
+OUTPUTS = (
+    Output("points2", "sensor_msgs/msg/PointCloud2", ResultMessages.cloud),
+    Output("disparity", "stereo_msgs/msg/DisparityImage", ResultMessages.disparity),
+    Output("depth/image_rect", "sensor_msgs/msg/Image", ResultMessages.depth),
+    Output("depth/camera_info", "sensor_msgs/msg/CameraInfo", ResultMessages.depth_camera_info),
+    Output("left/image_rect", "sensor_msgs/msg/Image", ResultMessages.left_rectified),
+    Output("left/image_rect_color", "sensor_msgs/msg/Image", ResultMessages.left_rectified_color),
+    Output("right/image_rect", "sensor_msgs/msg/Image", ResultMessages.right_rectified),
+)

@@ -253,9 +253,11 @@ def test_bag_without_stereo_is_refused_before_any_node_starts(tmp_path: Path) ->
 
 
 def test_all_nodes_end_with_0_when_they_are_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from stereo_depth_ros.nodes.readiness import wait_until_ready
+
     monkeypatch.setenv("ROS_DOMAIN_ID", domain(3))
     with GraphProcesses("separate", PARAMETERS, tmp_path) as processes:
-        processes.wait_until_ready()
+        wait_until_ready(processes.numbers, processes.log_lengths, processes.check)
         assert processes.stop() == dict.fromkeys(SHAPES["separate"], 0)
 
 

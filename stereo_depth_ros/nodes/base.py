@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,15 +17,22 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_n
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
-from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.core.errors import TopicError
+from stereo_depth_ros.core.kernels import compile_kernels
+from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.diagnostics import Health
 from stereo_depth_ros.nodes.message_types import RclpyTypes
 from stereo_depth_ros.nodes.parameters import NodeParameters
 
-__all__ = ["Output", "StereoNode"]
+__all__ = ["Output", "StereoNode", "log_compilation"]
 
 _SILENCE_S = 5.0  # after this time without a message on an input, the node says so
+
+
+def log_compilation(node: Node, number: int, total: int) -> None:
+    """Log that a kernel is compiled, as :func:`compile_kernels` reports it."""
+    node.get_logger().info(f"compiling kernels, {number} of {total}")
 
 
 class Output:
@@ -105,6 +113,11 @@ class StereoNode(Node):  # type: ignore[misc]
         resolved = self.resolve_topic_name(left)
         if resolved == self.resolve_topic_name(right):
             raise TopicError(f"{left} and {right} are both {resolved}: remap them to different topics")
+
+    def check_matcher(self, config: MatchingConfig) -> None:
+        """Raise ConfigError where the matcher refuses its parameters; its kernels are ready then."""
+        matcher_from_config(config)
+        compile_kernels(functools.partial(log_compilation, self))
 
     def stay_awake(self) -> None:
         """Keep the inputs subscribed whoever listens; to be called when all of them are added."""

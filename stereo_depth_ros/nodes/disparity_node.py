@@ -12,7 +12,6 @@ from stereo_msgs.msg import DisparityImage
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.messages.disparity import match_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
@@ -29,7 +28,7 @@ class DisparityNode(StereoNode):
 
     def __init__(self) -> None:
         super().__init__("disparity_node", MatchingConfig)
-        self.parameters.require(MatchingConfig, matcher_from_config)  # its kernels too are ready then
+        self.parameters.require(MatchingConfig, self.check_matcher)
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._pool = PayloadPool(self.types)
         self._stage = functools.lru_cache(maxsize=1)(DisparityStage)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import array
 import functools
+import importlib
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.core.types import F64, U8
 
-__all__ = ["RclpyTypes"]
+__all__ = ["RclpyTypes", "message_class"]
 
 
 def _keeping_data(kind: Any, *, data: Any, **fields: Any) -> Any:
@@ -24,6 +25,12 @@ def _keeping_data(kind: Any, *, data: Any, **fields: Any) -> Any:
     message = kind(check_fields=True, **fields)
     message.data = data
     return message
+
+
+def message_class(msgtype: str) -> Any:
+    """The installed class of a message type such as "sensor_msgs/msg/Image"."""
+    package, _, name = msgtype.rpartition("/")
+    return getattr(importlib.import_module(package.replace("/", ".")), name)
 
 
 class RclpyTypes:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import faulthandler
+import functools
 import signal
 from collections.abc import Callable
 
@@ -15,6 +16,9 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 
 from stereo_depth_ros.core.errors import GraphError, StereoDepthError
+from stereo_depth_ros.core.kernels import compile_kernels
+from stereo_depth_ros.nodes.base import log_compilation
+from stereo_depth_ros.nodes.readiness import announce_ready
 from stereo_depth_ros.nodes.transport import prepare_process
 
 __all__ = ["run"]
@@ -42,7 +46,9 @@ def run(make_node: Callable[[], Node]) -> int:
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        compile_kernels(functools.partial(log_compilation, node))
         node.get_logger().info(f"ready; {transport}")
+        announce_ready(node)
         executor.spin()
     except StereoDepthError as error:
         get_logger("stereo_depth_ros").fatal(str(error))

@@ -8,32 +8,18 @@ import functools
 import time
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from stereo_msgs.msg import DisparityImage
-
 from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, PairingConfig, PipelineConfig
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
-from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.message_types import message_class
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.outputs import ResultMessages
+from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline
 
 __all__ = ["StereoDepthNode", "main"]
-
-# Topic, type and builder of each output, in the order of publishing: what robots steer by goes first.
-_OUTPUTS = (
-    ("points2", PointCloud2, ResultMessages.cloud),
-    ("disparity", DisparityImage, ResultMessages.disparity),
-    ("depth/image_rect", Image, ResultMessages.depth),
-    ("depth/camera_info", CameraInfo, ResultMessages.depth_camera_info),
-    ("left/image_rect", Image, ResultMessages.left_rectified),
-    ("left/image_rect_color", Image, ResultMessages.left_rectified_color),
-    ("right/image_rect", Image, ResultMessages.right_rectified),
-)
 
 
 class StereoDepthNode(StereoNode):
@@ -41,12 +27,12 @@ class StereoDepthNode(StereoNode):
 
     def __init__(self) -> None:
         super().__init__("stereo_depth_node", MatchingConfig, DepthConfig, CloudConfig)
-        self.parameters.require(MatchingConfig, matcher_from_config)  # its kernels too are ready then
+        self.parameters.require(MatchingConfig, self.check_matcher)
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         self._pipeline = functools.lru_cache(maxsize=1)(StereoPipeline)
         self._messages = ResultMessages(self.types)
         self._calibration = CalibrationInput(self)
-        self._made = [(self.add_output(kind, topic), topic, build) for topic, kind, build in _OUTPUTS]
+        self._made = [(self.add_output(message_class(row.msgtype), row.topic), row.topic, row.build) for row in OUTPUTS]
         pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
         add_image_input(self, "left/image_raw", pairs.add_left)
         add_image_input(self, "right/image_raw", pairs.add_right)

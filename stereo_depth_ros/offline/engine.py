@@ -22,22 +22,13 @@ from stereo_depth_ros.messages.cdr import stamp_text
 from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import ReplayResult, percentile
-from stereo_depth_ros.outputs import ResultMessages
+from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
 
 __all__ = ["process_bag"]
 
 _INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _AFTER_STAMP = 12  # of CDR bytes: encapsulation and stamp differ between equal calibrations
-_OUTPUTS = (
-    ("/left/image_rect", ResultMessages.left_rectified),
-    ("/left/image_rect_color", ResultMessages.left_rectified_color),
-    ("/right/image_rect", ResultMessages.right_rectified),
-    ("/disparity", ResultMessages.disparity),
-    ("/depth/image_rect", ResultMessages.depth),
-    ("/depth/camera_info", ResultMessages.depth_camera_info),
-    ("/points2", ResultMessages.cloud),
-)
 
 
 def process_bag(
@@ -119,11 +110,11 @@ class _Engine:
         return result.timings_ms
 
     def _outputs(self, result: StereoResult) -> Iterator[tuple[str, Any]]:
-        for topic, build in _OUTPUTS:
+        for topic, _, build in OUTPUTS:
             start = time.perf_counter()
             message = build(self._messages, result)
-            result.timings_ms[f"make {topic[1:]}"] = 1e3 * (time.perf_counter() - start)
-            yield topic, message
+            result.timings_ms[f"make {topic}"] = 1e3 * (time.perf_counter() - start)
+            yield f"/{topic}", message
 
     def _pipeline_of(self, pair: SerializedPair) -> StereoPipeline:
         infos = (pair.left_info[_AFTER_STAMP:], pair.right_info[_AFTER_STAMP:])

@@ -27,7 +27,6 @@ _HEALTH_NODE = "calibration_monitor"
 _READ_RAW_IMAGES = ("stereo_depth_node", "rectify_node")  # the others get what these publish, which is never compressed
 _STOP_TIMEOUT_S = 5.0  # for each of SIGINT, SIGTERM and SIGKILL
 _TAIL_LINES = 12
-_READY, _READY_TIMEOUT_S = b"]: ready", 30.0  # what nodes/runner.py logs; kernels are compiled at the very first start
 
 
 class GraphProcesses:
@@ -91,21 +90,14 @@ class GraphProcesses:
             if code is not None:
                 raise GraphError(f"{node} ended with exit code {code}; the end of its log:\n{self._tail(node)}")
 
-    def wait_until_ready(self) -> None:
-        """Wait until every node has logged that it is ready: nodes of the same names may run in this domain already.
+    @property
+    def numbers(self) -> dict[str, int]:
+        """Number of the process by name of the node."""
+        return {node: process.pid for node, process in self._processes.items()}
 
-        Raises:
-            GraphError: a node ended, or is not ready after 30 seconds.
-        """
-        end = time.monotonic() + _READY_TIMEOUT_S
-        for node in self._processes:
-            while _READY not in self.log(node).read_bytes():
-                self.check()
-                if time.monotonic() > end:
-                    raise GraphError(
-                        f"{node} is not ready after {_READY_TIMEOUT_S:g} s: its log says\n{self._tail(node)}"
-                    )
-                time.sleep(0.05)
+    def log_lengths(self) -> tuple[int, ...]:
+        """Bytes that each node has logged so far: they grow while the nodes start."""
+        return tuple(self.log(node).stat().st_size for node in self._processes)
 
     def stop(self) -> dict[str, int]:
         """End all nodes: SIGINT, then SIGTERM, then SIGKILL, five seconds each.

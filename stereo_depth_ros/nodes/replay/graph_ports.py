@@ -15,26 +15,19 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Float64MultiArray
-from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.bags.pairs import SerializedPair
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
+from stereo_depth_ros.nodes.message_types import message_class
 from stereo_depth_ros.nodes.replay.recorder import Recorder
 from stereo_depth_ros.offline.report import stage_timings
+from stereo_depth_ros.outputs import OUTPUTS
 
 __all__ = ["GraphPorts"]
 
-_OUTPUTS = {
-    "left/image_rect": (Image, "sensor_msgs/msg/Image"),
-    "left/image_rect_color": (Image, "sensor_msgs/msg/Image"),
-    "right/image_rect": (Image, "sensor_msgs/msg/Image"),
-    "disparity": (DisparityImage, "stereo_msgs/msg/DisparityImage"),
-    "depth/image_rect": (Image, "sensor_msgs/msg/Image"),
-    "depth/camera_info": (CameraInfo, "sensor_msgs/msg/CameraInfo"),
-    "points2": (PointCloud2, "sensor_msgs/msg/PointCloud2"),
-}
+_MSGTYPES = {output.topic: output.msgtype for output in OUTPUTS}
 # What health_node says where it runs: recorded as it comes; whether it is latched
 _NOTES = {
     "health/row_error": (Float64MultiArray, "std_msgs/msg/Float64MultiArray", False),
@@ -80,13 +73,13 @@ class GraphPorts:
             )
         }
         self._clock: Publisher | None = node.create_publisher(Clock, "/clock", 10) if clock else None
-        self.output_topics = tuple(_OUTPUTS)
+        self.output_topics = tuple(_MSGTYPES)
         self.on_output: Callable[[str, int, int], bool] = lambda topic, stamp_ns, now_ns: False
         self._subscriptions = {
             topic: node.create_subscription(
-                message_type, topic, lambda data, topic=topic: self._receive(topic, data), _QOS, raw=True
+                message_class(msgtype), topic, lambda data, topic=topic: self._receive(topic, data), _QOS, raw=True
             )
-            for topic, (message_type, _) in _OUTPUTS.items()
+            for topic, msgtype in _MSGTYPES.items()
         }
         for topic, (message_type, _, latched) in _NOTES.items():
             node.create_subscription(
@@ -187,7 +180,7 @@ class GraphPorts:
     def _receive(self, topic: str, data: bytes) -> None:
         now_ns, stamp_ns = time.monotonic_ns(), cdr_stamp_ns(data)
         if self.on_output(topic, stamp_ns, now_ns):
-            self._recorder.write(self._subscriptions[topic].topic_name, _OUTPUTS[topic][1], data, stamp_ns)
+            self._recorder.write(self._subscriptions[topic].topic_name, _MSGTYPES[topic], data, stamp_ns)
 
     def _note(self, topic: str, data: bytes) -> None:
         _, msgtype, latched = _NOTES[topic]

@@ -11,7 +11,9 @@ from typing import Literal
 
 from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.nodes.readiness import wait_until_ready
 from stereo_depth_ros.nodes.replay_node import replay
+from stereo_depth_ros.nodes.transport import prepare_process
 from stereo_depth_ros.offline.report import ReplayResult
 from stereo_depth_ros.replay.graph_processes import GraphProcesses
 from stereo_depth_ros.replay.options import ReplayOptions
@@ -53,11 +55,12 @@ def replay_through_graph(
         all_parameters |= _reliable_inputs()
     if options.clock:
         all_parameters["use_sim_time"] = True
+    prepare_process()
     with (
         tempfile.TemporaryDirectory(prefix="stereo-depth-") as logs,
         GraphProcesses(shape, all_parameters, Path(logs), params_file, health) as graph,
     ):
-        graph.wait_until_ready()
+        wait_until_ready(graph.numbers, graph.log_lengths, graph.check)
         return replay(options, progress, graph.check, config)
 
 
