@@ -12,10 +12,9 @@ import numpy as np
 
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import CalibrationError
-from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, U8, MatchResult, RectifiedPair, StereoPair
-from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
 from stereo_depth_ros.stages.depth import depth_from_disparity, depth_sigma
 from stereo_depth_ros.stages.disparity import DisparityStage
 from stereo_depth_ros.stages.point_cloud import CloudLayout, pack_points
@@ -37,7 +36,7 @@ class StereoPipeline:
         ConfigError, CalibrationError: what cannot work, before the first frame.
     """
 
-    def __init__(self, config: PipelineConfig, rig: StereoRig | UncalibratedRig) -> None:
+    def __init__(self, config: PipelineConfig, rig: Rig) -> None:
         self.config = config
         self.rig = rig
         self._rectifier = Rectifier(rig)
@@ -77,7 +76,7 @@ class StereoResult:
     pair: StereoPair
     rectified: RectifiedPair
     disparity: MatchResult
-    rig: StereoRig | UncalibratedRig
+    rig: Rig
     config: PipelineConfig
     timings_ms: dict[str, float] = field(default_factory=dict)
 
@@ -103,7 +102,7 @@ class StereoResult:
         Raises:
             CalibrationError: it is not; so do all that follow from it.
         """
-        if isinstance(self.rig, UncalibratedRig):
+        if not isinstance(self.rig, StereoRig):
             raise CalibrationError(
                 "the rig is not calibrated: its disparities tell what is nearer, no depth in metres: calibrate both "
                 "cameras together and take a StereoRig"

@@ -66,7 +66,7 @@ def import_without_ros(*names: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_core_imports_without_ros() -> None:
-    assert {"stereo_depth_ros.config", "stereo_depth_ros.nodes.transport"} <= CORE.keys()
+    assert {"stereo_depth_ros.config", "stereo_depth_ros.core.types"} <= CORE.keys()
     done = import_without_ros(*CORE)
     assert done.returncode == 0, done.stderr
 

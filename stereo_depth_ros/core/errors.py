@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the package: one root; every message names the value, the limit and the remedy."""
+"""Errors of the package: one root, and what each is about, what was found, what is allowed and what to do as fields."""
+
+from __future__ import annotations
+
+from typing import TypeVar
 
 __all__ = [
     "BagError",
@@ -13,9 +17,53 @@ __all__ = [
     "TopicError",
 ]
 
+ErrorT = TypeVar("ErrorT", bound="StereoDepthError")
+
 
 class StereoDepthError(Exception):
-    """Root of everything this package raises on purpose."""
+    """Root of everything this package raises on purpose; as text ``subject: problem: remedy``.
+
+    Attributes:
+        problem: what is wrong, in a sentence with the value and the limit.
+        subject: what the problem is about: a topic, a file, a camera, a parameter; empty where the problem says it.
+        value: what was found.
+        limit: what is allowed.
+        remedy: what to do about it.
+        settings: names of arguments or parameters that the remedy is about. The command line adds its options of these
+            names, a node its parameters.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        subject: str = "",
+        value: object = None,
+        limit: object = None,
+        remedy: str = "",
+        settings: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(problem)
+        self.problem = problem
+        self.subject = subject
+        self.value = value
+        self.limit = limit
+        self.remedy = remedy
+        self.settings = settings
+
+    def __str__(self) -> str:
+        return ": ".join(part for part in (self.subject, self.problem, self.remedy) if part)
+
+    def about(self: ErrorT, subject: object, remedy: str | None = None) -> ErrorT:
+        """The same error about something larger, which is named first; with another remedy where one is given."""
+        return type(self)(
+            self.problem,
+            subject=f"{subject}: {self.subject}" if self.subject else str(subject),
+            value=self.value,
+            limit=self.limit,
+            remedy=self.remedy if remedy is None else remedy,
+            settings=self.settings,
+        )
 
 
 class ConfigError(StereoDepthError):

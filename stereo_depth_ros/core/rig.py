@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import cv2
 import numpy as np
@@ -18,9 +18,46 @@ from stereo_depth_ros.core.camera_yaml import read_camera
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["StereoRig"]
+__all__ = ["Rig", "StereoRig"]
 
 MIN_BASELINE_M, MAX_BASELINE_M = 1e-3, 10.0
+
+
+class Rig(Protocol):
+    """Two cameras whose images can be rectified: a :class:`StereoRig`, or one without a calibration of the rig.
+
+    Attributes:
+        metric: disparities give depth in meters.
+    """
+
+    metric: ClassVar[bool]
+
+    @property
+    def left(self) -> CameraModel:
+        """The left camera, raw and rectified; the reference."""
+
+    @property
+    def right(self) -> CameraModel:
+        """The right camera."""
+
+    @property
+    def topics(self) -> tuple[str, str]:
+        """Where each camera came from, for the messages of errors."""
+
+    @property
+    def width(self) -> int:
+        """Width of both images, px."""
+
+    @property
+    def height(self) -> int:
+        """Height of both images, px."""
+
+    @property
+    def doffs_px(self) -> float:
+        """Disparity of a point at infinity, px; -inf where it is not known."""
+
+    def check_image(self, width: int, height: int, topic: str) -> None:
+        """Refuse an image of another size with a CalibrationError."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +76,7 @@ class StereoRig:
     right: CameraModel
     topics: tuple[str, str] = ("left", "right")
 
-    metric = True
+    metric: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         for camera, label in zip((self.left, self.right), self._labels(), strict=True):

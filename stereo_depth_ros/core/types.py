@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The words everything is said in: what goes into the path and what comes out of it."""
+"""Core data types: frames and pairs that go into the pipeline, and the match that comes out of it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,58 @@ import enum
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+
+from stereo_depth_ros.core.errors import ImageError
 
 __all__ = ["F32", "F64", "U8", "Frame", "MatchResult", "Reason", "RectifiedPair", "StereoPair"]
 
 U8: TypeAlias = npt.NDArray[np.uint8]
 F32: TypeAlias = npt.NDArray[np.float32]
 F64: TypeAlias = npt.NDArray[np.float64]
+
+
+_CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3}
+
+
+def _checked(pixels: npt.NDArray[Any], encoding: str, name: str) -> U8:
+    """The pixels as C-contiguous and read-only; ImageError where they are not what the encoding says."""
+    if encoding not in _CHANNELS:
+        raise ImageError(
+            f"encoding = {encoding!r} is not one of {', '.join(_CHANNELS)}",
+            subject=name,
+            value=encoding,
+            limit=tuple(_CHANNELS),
+            remedy="name the order of the channels in lower case, as sensor_msgs does",
+        )
+    shape = "(H, W)" if _CHANNELS[encoding] == 1 else "(H, W, 3)"
+    if not isinstance(pixels, np.ndarray) or pixels.dtype != np.uint8:
+        found = getattr(pixels, "dtype", type(pixels).__name__)
+        raise ImageError(
+            f"pixels are {found}, {encoding} takes uint8 {shape}",
+            subject=name,
+            value=str(found),
+            limit="uint8",
+            remedy="scale deeper images to 8 bits",
+        )
+    expected = 2 if _CHANNELS[encoding] == 1 else 3
+    if pixels.ndim != expected or pixels.shape[2:] not in ((), (3,)) or not pixels.size:
+        color = pixels.ndim == 3 and encoding == "mono8"
+        raise ImageError(
+            f"pixels have shape {pixels.shape}, {encoding} takes {shape} of at least one pixel",
+            subject=name,
+            value=pixels.shape,
+            limit=shape,
+            remedy="name the encoding of color pixels, rgb8 or bgr8" if color else "give pixels of this shape",
+        )
+    if pixels.flags.c_contiguous and not pixels.flags.writeable:
+        return pixels
+    checked = np.ascontiguousarray(pixels).view()
+    checked.flags.writeable = False
+    return checked
 
 
 class Reason(enum.IntFlag):
@@ -33,15 +75,19 @@ class Reason(enum.IntFlag):
     BORDER = 64  # the search or the window leaves the image
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One decoded image of one camera.
 
     Attributes:
-        pixels: uint8, (H, W) grey or (H, W, 3) colour in the order that ``encoding`` names.
+        pixels: uint8, C-contiguous and read-only, (H, W) gray or (H, W, 3) color in the order that ``encoding`` names.
+            An array that is writeable is taken as a read-only view, one of another layout is copied.
         stamp_ns: time of the exposure, integer nanoseconds (the header stamp).
         frame_id: name of the optical frame.
         encoding: "mono8", "rgb8" or "bgr8".
+
+    Raises:
+        ImageError: another dtype, shape or encoding.
     """
 
     pixels: U8
@@ -49,23 +95,52 @@ class Frame:
     frame_id: str
     encoding: str = "mono8"
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pixels", _checked(self.pixels, self.encoding, "pixels"))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Frame):
+            return NotImplemented
+        same = (self.stamp_ns, self.frame_id, self.encoding) == (other.stamp_ns, other.frame_id, other.encoding)
+        return same and np.array_equal(self.pixels, other.pixels)
+
+    __hash__ = None  # type: ignore[assignment]
+
 
 @dataclass(frozen=True)
 class StereoPair:
-    """Left and right frame that belong together. Raw (unrectified) or rectified: the stage that takes it says which."""
+    """Left and right frame that belong together. Raw (unrectified) or rectified: the stage that takes it says which.
+
+    Raises:
+        ImageError: not two frames.
+    """
 
     left: Frame
     right: Frame
 
+    def __post_init__(self) -> None:
+        for side, frame in (("left", self.left), ("right", self.right)):
+            if not isinstance(frame, Frame):
+                raise ImageError(
+                    f"{side} is {type(frame).__name__}, a pair holds two frames",
+                    subject="stereo pair",
+                    value=type(frame).__name__,
+                    limit="Frame",
+                    remedy="make it Frame(pixels, stamp_ns, frame_id, encoding)",
+                )
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class RectifiedPair:
-    """Rows aligned: a point has the same row in both images.
+    """Rows aligned: a point has the same row in both images. Arrays are C-contiguous and read-only, as of a Frame.
 
     Attributes:
-        left, right: uint8 (H, W), grey, what the matcher sees.
-        left_color: uint8 (H, W) or (H, W, 3), the rectified left image as it came, what colours the cloud.
+        left, right: uint8 (H, W), gray, what the matcher sees.
+        left_color: uint8 (H, W) or (H, W, 3), the rectified left image as it came, what colors the cloud.
         color_encoding: encoding of ``left_color``: "mono8", "rgb8" or "bgr8".
+
+    Raises:
+        ImageError: another dtype, shape or encoding, or sizes that differ.
     """
 
     left: U8
@@ -73,8 +148,32 @@ class RectifiedPair:
     left_color: U8
     color_encoding: str
 
+    def __post_init__(self) -> None:
+        is_gray = self.left_color is self.left
+        for name, encoding in (("left", "mono8"), ("right", "mono8"), ("left_color", self.color_encoding)):
+            object.__setattr__(self, name, _checked(getattr(self, name), encoding, name))
+        if is_gray:  # one array, as it was given
+            object.__setattr__(self, "left_color", self.left)
+        sizes = {name: getattr(self, name).shape[:2] for name in ("left", "right", "left_color")}
+        if len(set(sizes.values())) > 1:
+            raise ImageError(
+                f"sizes differ: {', '.join(f'{name} {size[1]}x{size[0]}' for name, size in sizes.items())}",
+                subject="rectified pair",
+                value=sizes,
+                limit="one size",
+                remedy="rectify both images with one rig",
+            )
 
-@dataclass(frozen=True)
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, RectifiedPair):
+            return NotImplemented
+        same = all(np.array_equal(getattr(self, n), getattr(other, n)) for n in ("left", "right", "left_color"))
+        return same and self.color_encoding == other.color_encoding
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True, eq=False)
 class MatchResult:
     """What a matcher returns, or the disparity stage, which takes more out.
 

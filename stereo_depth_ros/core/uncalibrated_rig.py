@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,8 +30,8 @@ class UncalibratedRig:
     right: CameraModel
     topics: tuple[str, str] = ("left", "right")
 
-    metric = False  # a disparity is no depth: where infinity lies is not known
-    doffs_px = -np.inf
+    metric: ClassVar[bool] = False  # a disparity is no depth: where infinity lies is not known
+    doffs_px: ClassVar[float] = -np.inf
 
     @classmethod
     def from_homographies(

@@ -68,8 +68,8 @@ def wait_until_ready(
                 seen, changed_at = now, time.monotonic()
             if time.monotonic() - changed_at > timeout_s:
                 raise GraphError(
-                    f"{', '.join(waiting)}: not ready, and nothing has changed for {timeout_s:g} s: read the log of the "
-                    "node, and check that ROS_DOMAIN_ID is the same"
+                    f"{', '.join(waiting)}: not ready, and nothing has changed for {timeout_s:g} s: read the log of "
+                    "the node, and check that ROS_DOMAIN_ID is the same"
                 )
     finally:
         node.destroy_node()

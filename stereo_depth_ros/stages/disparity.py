@@ -13,9 +13,8 @@ import numpy.typing as npt
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
-from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.rig import Rig
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
-from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.stages.camera_swap import EyeOrder
 from stereo_depth_ros.stages.depth import reject_behind
@@ -36,7 +35,7 @@ class DisparityStage:
         ConfigError: the parameters contradict each other.
     """
 
-    def __init__(self, config: MatchingConfig, rig: StereoRig | UncalibratedRig) -> None:
+    def __init__(self, config: MatchingConfig, rig: Rig) -> None:
         self._matcher = matcher_from_config(config)
         self._doffs_px = rig.doffs_px
         self._eye_order = EyeOrder(rig.doffs_px) if rig.metric else None

@@ -13,9 +13,8 @@ import numpy.typing as npt
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.images import to_gray
-from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.rig import Rig
 from stereo_depth_ros.core.types import U8, RectifiedPair, StereoPair
-from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
 
 __all__ = ["Rectifier"]
 
@@ -30,28 +29,27 @@ class Rectifier:
         rig: raw cameras (K, D) and rectified ones (R, P).
     """
 
-    def __init__(self, rig: StereoRig | UncalibratedRig) -> None:
+    def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self._left_maps = _build_maps(rig.left)
         self._right_maps = _build_maps(rig.right)
 
-    def rectify(self, pair: StereoPair, out: RectifiedPair | None = None) -> RectifiedPair:
+    def rectify(self, pair: StereoPair) -> RectifiedPair:
         """Both eyes in grey, and the left one in its own colours.
 
         Grey is taken before rectification: each grey image has the bytes that a rectifier of grey images gives.
 
         Args:
             pair: raw images of the size of the rig.
-            out: an earlier result of this rectifier, for images of the same encoding, to be overwritten.
 
         Raises:
             CalibrationError: an image has another size than the rig.
         """
-        left = self.rectify_left(to_gray(pair.left), out.left if out else None)
-        right = self.rectify_right(to_gray(pair.right), out.right if out else None)
+        left = self.rectify_left(to_gray(pair.left))
+        right = self.rectify_right(to_gray(pair.right))
         left_color = left
         if pair.left.encoding != "mono8":
-            left_color = self.rectify_left(pair.left.pixels, out.left_color if out else None)
+            left_color = self.rectify_left(pair.left.pixels)
         return RectifiedPair(left, right, left_color, pair.left.encoding)
 
     def rectify_left(self, pixels: U8, out: U8 | None = None) -> U8:
