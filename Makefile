@@ -17,7 +17,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 help: ## say what can be made
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile
 
-demo: venv ## play the sample bag through the live graph; prints a table, writes a bag and a picture
+demo: venv ## play the sample bag through the live graph; prints a table, writes a bag and an image
 	$(BIN)/stereo-depth demo
 
 test: venv ## run every test

@@ -31,7 +31,7 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64, U8, StereoPair
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.kitti import KittiDataset
-from stereo_depth_ros.datasets.stereo_images import open_pictures
+from stereo_depth_ros.datasets.stereo_images import open_stereo_images
 from stereo_depth_ros.geometry.calibrated_rectification import METHODS, rectify_calibrated
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.epipolar import (
@@ -106,7 +106,7 @@ def calibration_rows(
     name: str, ours: StereoCalibration, theirs: dict[str, Any], required: tuple[str, str, str]
 ) -> Iterator[Row]:
     one_eye = f"{ours.left.rms_px:.3f}, {ours.right.rms_px:.3f}"
-    yield Row(name, "reprojection rms, px", one_eye, ", ".join(f"{rms:.3f}" for rms in theirs["eyes"]), required[0])
+    yield Row(name, "reprojection rms, px", one_eye, ", ".join(f"{rms:.3f}" for rms in theirs["sides"]), required[0])
     yield Row(name, "stereo rms, px", f"{ours.rms_stereo_px:.3f}", f"{theirs['rms']:.3f}", required[1])
     sigma = f"{1e3 * ours.baseline_m:.2f} +- {1e3 * ours.baseline_sigma_m:.2f}"
     yield Row(name, "baseline, mm", sigma, f"{1e3 * theirs['baseline']:.2f}", required[2])
@@ -184,7 +184,7 @@ def uncalibrated_rows(name: str, matches: Correspondences, size: tuple[int, int]
 
 
 def health(data: Path) -> Iterator[Row]:
-    """KITTI, the second half with its right pictures turned, beside the first half as it is."""
+    """KITTI, the second half with its right images turned, beside the first half as it is."""
     dataset = KittiDataset(data / "kitti_odometry" / "seqA_1226x370")
     pairs = [(frame.left.pixels, frame.right.pixels) for frame in dataset]
     undisturbed = follow(dataset.rig, pairs[:10], None)[-1]
@@ -219,7 +219,7 @@ def follow(rig: StereoRig, pairs: list[tuple[U8, U8]], reference_deg: float | No
 
 
 def quality(rig: StereoRig, pairs: list[tuple[U8, U8]]) -> tuple[float, float]:
-    """Share of pixels with a disparity, and median row error, when the rig rectifies the right pictures."""
+    """Share of pixels with a disparity, and median row error, when the rig rectifies the right images."""
     rectifier, matcher = Rectifier(rig), create_matcher("sgm", num_disparities=128)
     straight = [(left, rectifier.rectify_right(right)) for left, right in pairs[::2]]
     densities = [np.isfinite(matcher.match(*pair).disparity_px).mean() for pair in straight]
@@ -230,7 +230,7 @@ def quality(rig: StereoRig, pairs: list[tuple[U8, U8]]) -> tuple[float, float]:
 def board_views(folder: Path) -> list[BoardView]:
     """Of boards of 9x6 corners, 25 mm."""
     return find_views(
-        open_pictures(folder),
+        open_stereo_images(folder),
         create_board("chessboard", (9, 6), 0.025),
         lambda size: create_board("chessboard", size, 1),
     ).views
@@ -257,36 +257,36 @@ def rows_of(*matches: Correspondences) -> float:
 
 def opencv_calibration(views: list[BoardView], size: tuple[int, int]) -> dict[str, Any]:
     board = [view.left.board_m.astype(np.float32) for view in views]
-    eyes = [[getattr(view, eye).image_px.astype(np.float32) for view in views] for eye in ("left", "right")]
-    alone: list[Any] = [cv2.calibrateCamera(board, eye, size, None, None) for eye in eyes]
+    sides = [[getattr(view, side).image_px.astype(np.float32) for view in views] for side in ("left", "right")]
+    alone: list[Any] = [cv2.calibrateCamera(board, side, size, None, None) for side in sides]
     flags = cv2.CALIB_USE_INTRINSIC_GUESS
     solve: Any = cv2.stereoCalibrate
     rms, K, _, K_right, _, _, T, *_ = solve(
-        board, *eyes, *alone[0][1:3], *alone[1][1:3], size, flags=flags, criteria=CRITERIA
+        board, *sides, *alone[0][1:3], *alone[1][1:3], size, flags=flags, criteria=CRITERIA
     )
     f = K[0, 0], K_right[0, 0]
-    return {"rms": rms, "eyes": [each[0] for each in alone], "baseline": float(np.linalg.norm(T)), "f": f}
+    return {"rms": rms, "sides": [each[0] for each in alone], "baseline": float(np.linalg.norm(T)), "f": f}
 
 
 def opencv_fisheye_calibration(views: list[BoardView], size: tuple[int, int]) -> dict[str, Any]:
     board = [view.left.board_m[None] for view in views]
-    eyes = [[getattr(view, eye).image_px[None] for view in views] for eye in ("left", "right")]
+    sides = [[getattr(view, side).image_px[None] for view in views] for side in ("left", "right")]
     names = cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2  # OpenCV 4, OpenCV 5
     flags = names.CALIB_RECOMPUTE_EXTRINSIC + names.CALIB_FIX_SKEW
     solve: Any = cv2.fisheye.stereoCalibrate
     alone: list[Any] = [
-        cv2.fisheye.calibrate(board, eye, size, None, None, flags=flags, criteria=CRITERIA) for eye in eyes
+        cv2.fisheye.calibrate(board, side, size, None, None, flags=flags, criteria=CRITERIA) for side in sides
     ]
     rms, *_, T = solve(
-        board, *eyes, *alone[0][1:3], *alone[1][1:3], size, flags=names.CALIB_FIX_SKEW, criteria=CRITERIA
+        board, *sides, *alone[0][1:3], *alone[1][1:3], size, flags=names.CALIB_FIX_SKEW, criteria=CRITERIA
     )[:7]
-    return {"rms": rms, "eyes": [each[0] for each in alone], "baseline": float(np.linalg.norm(T))}
+    return {"rms": rms, "sides": [each[0] for each in alone], "baseline": float(np.linalg.norm(T))}
 
 
 def opencv_pose(left_px: F64, right_px: F64, K_left: F64, K_right: F64) -> RelativePose:
     left, right = camera_coordinates(left_px, K_left), camera_coordinates(right_px, K_right)
-    E, inliers = cv2.findEssentialMat(left, right, np.eye(3), cv2.USAC_MAGSAC, 0.999, 1 / K_left[0, 0])
-    _, R, t, _ = cv2.recoverPose(E, left, right, np.eye(3), mask=inliers)
+    E, inliers = cv2.findEssentialMat(left, right, np.identity(3), cv2.USAC_MAGSAC, 0.999, 1 / K_left[0, 0])
+    _, R, t, _ = cv2.recoverPose(E, left, right, np.identity(3), mask=inliers)
     return RelativePose(R, t, up_to_scale=True)
 
 

@@ -75,7 +75,7 @@ class Row:
 
 
 class Harness:
-    """Publishes pairs as serialised bytes and counts what comes back."""
+    """Publishes pairs as serialized bytes and counts what comes back."""
 
     def __init__(self, sequence: SyntheticSequence, typed: bool) -> None:
         self._types = RosbagsTypes()
@@ -120,7 +120,7 @@ class Harness:
         self.wait(sys.maxsize, timeout_s=1.0)  # what the tries still bring
 
     def messages(self) -> dict[str, bytes]:
-        """The next pair, serialised; all four topics."""
+        """The next pair, serialized; all four topics."""
         self._stamp_ns += 1_000_000
         types, stamp = self._types, self._stamp_ns
         left, right = self._pair.left, self._pair.right
@@ -157,7 +157,9 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
     """A function that runs remap twice, the matcher and the reprojection once and returns the milliseconds."""
     height, width = pair.left.pixels.shape
     K = np.array([[width * 0.9, 0, width / 2], [0, width * 0.9, height / 2], [0, 0, 1.0]])
-    maps = cv2.initUndistortRectifyMap(K, np.array([0.1, -0.05, 0, 0, 0]), np.eye(3), K, (width, height), cv2.CV_16SC2)
+    maps = cv2.initUndistortRectifyMap(
+        K, np.array([0.1, -0.05, 0, 0, 0]), np.identity(3), K, (width, height), cv2.CV_16SC2
+    )
     Q = np.array([[1, 0, 0, -width / 2], [0, 1, 0, -height / 2], [0, 0, 0, width * 0.9], [0, 0, 8.0, 0]])
     left, right = np.empty((2, height, width), np.uint8)
     fixed = np.empty((height, width), np.int16)

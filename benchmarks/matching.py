@@ -165,8 +165,8 @@ def requirements(rows: list[Row]) -> list[Row]:
 def locking(scenes: dict[str, Scene]) -> list[Row]:
     """Histograms of the fractional part of disparities that both methods have right to 1 px, and of their truth.
 
-    Bins are centred on 0, 0.1 ... 0.9. A disparity is spread evenly over its step, or steps of 1/16 would fall unevenly
-    into bins. Distance: the share that would have to move to make it the histogram of the truth.
+    Bins are centered on 0, 0.1 ... 0.9. A disparity is spread evenly over its step, or steps of 1/16 would fall
+    unevenly into bins. Distance: the share that would have to move to make it the histogram of the truth.
     """
     rows: list[Row] = []
     for scene in SUBPIXEL_SCENES:
@@ -191,7 +191,7 @@ def speed(scene: Scene, rounds: int) -> list[Row]:
     rows: list[Row] = []
     for cores in (2, 1):
         for width, height, count in SIZES:
-            left, right = (cv2.resize(eye, (width, height)) for eye in (scene.left, scene.right))
+            left, right = (cv2.resize(side, (width, height)) for side in (scene.left, scene.right))
             times = in_process(cores, _measure, count, left, right, rounds)
             for name, ms in times.items():
                 row = {"cores": cores, "size": f"{width}x{height}/{count}", "method": name}
@@ -245,7 +245,7 @@ STAGES = (
     Stage("path from left", "once", 7, 4, 1, 0),
     Stage("sum", "once", 10, 1, 3, 1),
     Stage("path from right", "once", 7, 4, 1, 0),
-    Stage("bids", "once", 20, 9, 2, 0),
+    Stage("keys", "once", 20, 9, 2, 0),
     Stage("least and second bid", "once", 16, 12, 0, 0),
     Stage("bids of right pixels", "once", 4, 12, 0, 0),
 )
@@ -258,7 +258,7 @@ def limit(scene: Scene, rounds: int) -> list[Row]:
 
 def _limit(size: tuple[int, int, int], left: U8, right: U8, rounds: int) -> Row:
     width, height, count = size
-    left, right = (cv2.resize(eye, (width, height)) for eye in (left, right))
+    left, right = (cv2.resize(side, (width, height)) for side in (left, right))
     matcher = SemiGlobalMatcher(MatchingConfig(num_disparities=count))
     ms = min(timed_ms({"sgm": lambda a, b: matcher.match(a, b).disparity_px}, left, right, rounds)["sgm"])
     strips, approach = matcher._strips, matcher._search.approach_rows

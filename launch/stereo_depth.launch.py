@@ -11,11 +11,11 @@ from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from stereo_depth_ros.config import HealthConfig, PipelineConfig, parameter_infos
+from stereo_depth_ros.config import CalibrationMonitorConfig, PipelineConfig, parameter_infos
 
 PATH = [item.name for item in dataclasses.fields(PipelineConfig)]
 STAGES = {item.name: list(parameter_infos(item.default)) for item in dataclasses.fields(PipelineConfig)}
-STAGES["health"] = list(parameter_infos(HealthConfig))
+STAGES["health"] = list(parameter_infos(CalibrationMonitorConfig))
 
 ARGUMENTS = {
     "fused": ("false", "One stereo_depth_node in place of one node for each stage."),

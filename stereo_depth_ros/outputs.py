@@ -29,16 +29,16 @@ class ResultMessages:
         self._pool = PayloadPool(types)
 
     def left_rectified(self, result: StereoResult) -> Any:
-        """The left rectified image, grey."""
+        """The left rectified image, gray."""
         return self._image("left", result.rectified.left, "mono8", result.pair.left)
 
     def left_rectified_color(self, result: StereoResult) -> Any:
-        """The left rectified image in the colours it came in."""
+        """The left rectified image in the colors it came in."""
         rectified = result.rectified
         return self._image("left color", rectified.left_color, rectified.color_encoding, result.pair.left)
 
     def right_rectified(self, result: StereoResult) -> Any:
-        """The right rectified image, grey."""
+        """The right rectified image, gray."""
         return self._image("right", result.rectified.right, "mono8", result.pair.right)
 
     def disparity(self, result: StereoResult) -> Any:
@@ -49,7 +49,7 @@ class ResultMessages:
         )
 
     def depth(self, result: StereoResult) -> Any:
-        """The depth image, metres or millimetres as configured."""
+        """The depth image, meters or millimeters as configured."""
         encoding = result.config.depth.depth_encoding
         return depth_message(self._types, self._pool, result.depth_m, encoding, result.stamp_ns, result.frame_id)
 

@@ -104,7 +104,7 @@ class StereoResult:
         """
         if not isinstance(self.rig, StereoRig):
             raise CalibrationError(
-                "the rig is not calibrated: its disparities tell what is nearer, no depth in metres: calibrate both "
+                "the rig is not calibrated: its disparities tell what is nearer, no depth in meters: calibrate both "
                 "cameras together and take a StereoRig"
             )
         return self.rig
@@ -116,7 +116,7 @@ class StereoResult:
 
     @cached_property
     def depth_m(self) -> F32:
-        """Depth along Z of the left rectified optical frame, float32 (H, W), metres, NaN where invalid."""
+        """Depth along Z of the left rectified optical frame, float32 (H, W), meters, NaN where invalid."""
         start = time.perf_counter()
         depth_m = depth_from_disparity(self.disparity.disparity_px, self.triangulation)
         self.timings_ms["depth"] = 1e3 * (time.perf_counter() - start)
@@ -124,11 +124,11 @@ class StereoResult:
 
     @cached_property
     def sigma_m(self) -> F32:
-        """Standard deviation of the depth, float32 (H, W), metres, NaN where invalid."""
+        """Standard deviation of the depth, float32 (H, W), meters, NaN where invalid."""
         return depth_sigma(self.depth_m, self.triangulation, self.config.depth.disparity_sigma_px)
 
     def points(self) -> F32:
-        """Points in the left rectified optical frame, float32 (H, W, 3), metres, NaN where invalid."""
+        """Points in the left rectified optical frame, float32 (H, W, 3), meters, NaN where invalid."""
         points = np.empty((*self.disparity.disparity_px.shape, 3), np.float32)
         payload: U8 = points.reshape(-1).view(np.uint8)
         pack_points(self.disparity.disparity_px, self.triangulation, CloudLayout(12, None), payload)

@@ -33,13 +33,13 @@ class Estimate(NamedTuple):
     surprise: float
 
 
-def window_estimate(maps: list[F64], y: int, x: int, centre: float, extent: list[int]) -> Estimate | None:
+def window_estimate(maps: list[F64], y: int, x: int, center: float, extent: list[int]) -> Estimate | None:
     """The estimate from its definition; None where the window cannot be taken."""
     left, right, before = maps
     height, width = left.shape
     rows = np.arange(y - extent[0], y + extent[1] + 1)
     columns = np.arange(x - extent[2], x + extent[3] + 1)
-    at = columns - centre
+    at = columns - center
     if rows[0] < 0 or rows[-1] >= height or columns[0] < 0 or columns[-1] >= width:
         return None
     # Central differences on both sides of the position are needed.
@@ -53,7 +53,7 @@ def window_estimate(maps: list[F64], y: int, x: int, centre: float, extent: list
     there = np.array([np.interp(at, grid, right[row]) for row in rows])
     gradient = np.array([np.interp(at, grid, slope[row]) for row in rows])
     distance = np.hypot(rows[:, None] - y, columns - x)
-    spread = np.mean(np.divide((near - centre) ** 2, distance, out=np.zeros_like(distance), where=distance > 0))
+    spread = np.mean(np.divide((near - center) ** 2, distance, out=np.zeros_like(distance), where=distance > 0))
     variance = window_growth.NOISE_POWER + np.mean(gradient**2) * spread * np.rint(distance)
     weight = 1 / variance
     difference = there - left[np.ix_(rows, columns)]
@@ -65,10 +65,10 @@ def window_estimate(maps: list[F64], y: int, x: int, centre: float, extent: list
     return Estimate(increment, precision, float(np.mean(remainder**2 / variance + np.log(variance))))
 
 
-def grown_window(maps: list[F64], y: int, x: int, centre: float) -> tuple[Estimate | None, list[int]]:
+def grown_window(maps: list[F64], y: int, x: int, center: float) -> tuple[Estimate | None, list[int]]:
     """The window that grows around one pixel, and its extents up, down, left and right."""
     extent = [1, 1, 1, 1]
-    here = window_estimate(maps, y, x, centre, extent)
+    here = window_estimate(maps, y, x, center, extent)
     closed: set[int] = set()
     while here is not None:
         grown: dict[int, Estimate] = {}
@@ -77,7 +77,7 @@ def grown_window(maps: list[F64], y: int, x: int, centre: float) -> tuple[Estima
                 continue
             trial = list(extent)
             trial[side] += 1
-            found = window_estimate(maps, y, x, centre, trial)
+            found = window_estimate(maps, y, x, center, trial)
             if found is None or found.precision < here.precision:
                 closed.add(side)
             else:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of the camera infos of a set-up, and what the doctor then finds."""
+"""Changes of the camera infos of a setup, and what the doctor then finds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stereo_depth_ros.diagnosis.finding import Finding, Level
-from stereo_depth_ros.diagnosis.survey import StereoSetUp
+from stereo_depth_ros.diagnosis.survey import StereoSetup
 from stereo_depth_ros.diagnosis.verdict import Diagnosis
 
 Change: TypeAlias = Callable[[Any], Any]
@@ -51,10 +51,10 @@ def scaled(factor: float) -> Change:
     return both(entries("k", lambda array: k * array), entries("p", lambda array: p * array))
 
 
-def with_infos(set_up: StereoSetUp, left: Change = as_is, right: Change = as_is) -> StereoSetUp:
-    eyes = ((set_up.left, left), (set_up.right, right))
-    records = [replace(record, infos=[change(info) for info in record.infos]) for record, change in eyes]
-    return replace(set_up, left=records[0], right=records[1])
+def with_infos(setup: StereoSetup, left: Change = as_is, right: Change = as_is) -> StereoSetup:
+    sides = ((setup.left, left), (setup.right, right))
+    records = [replace(record, infos=[change(info) for info in record.infos]) for record, change in sides]
+    return replace(setup, left=records[0], right=records[1])
 
 
 def faults(diagnosis: Diagnosis) -> dict[str, Finding]:

@@ -68,16 +68,16 @@ class StereoCamera:
         """Both camera infos, by topic."""
         cameras = {"left": self.rig.left, "right": self.rig.right}
         return {
-            f"{eye}/camera_info": camera_info_message(self.types, camera, stamp_ns) for eye, camera in cameras.items()
+            f"{side}/camera_info": camera_info_message(self.types, camera, stamp_ns) for side, camera in cameras.items()
         }
 
     def images(self, stamp_ns: int, index: int = 0, encoding: str = "mono8") -> dict[str, Any]:
         """Both raw images, by topic."""
         pair = self.frames[index].pair
         messages = {}
-        for eye, frame in (("left", pair.left), ("right", pair.right)):
+        for side, frame in (("left", pair.left), ("right", pair.right)):
             pixels = frame.pixels if encoding == "mono8" else colored(frame.pixels)
-            messages[f"{eye}/image_raw"] = image_message(self.types, pixels, encoding, stamp_ns, frame.frame_id)
+            messages[f"{side}/image_raw"] = image_message(self.types, pixels, encoding, stamp_ns, frame.frame_id)
         return messages
 
     def pair(self, stamp_ns: int, index: int = 0, encoding: str = "mono8") -> dict[str, Any]:
@@ -86,7 +86,7 @@ class StereoCamera:
 
 
 def colored(pixels: U8) -> U8:
-    """uint8 (H, W, 3) in which every channel is another function of the grey value."""
+    """uint8 (H, W, 3) in which every channel is another function of the gray value."""
     return np.ascontiguousarray(np.stack([pixels, 255 - pixels, pixels // 2], axis=-1))
 
 
@@ -206,7 +206,7 @@ class Graph:
         node = node or self.nodes[0]
         name = node.get_fully_qualified_name()
         self.diagnostics.clear()
-        node.health.publish()
+        node.diagnostics.publish()
         self.wait(lambda: any(m.status[0].name == name for m in self.diagnostics), f"diagnostics of {name}")
         return next(m.status[0] for m in reversed(self.diagnostics) if m.status[0].name == name)
 

@@ -18,7 +18,7 @@ from stereo_depth_ros.matching import create_matcher
 
 __all__ = ["Matched", "Scene", "bad", "matched", "part", "scene"]
 
-# Folder, left, right, truth of the left, grey levels of the truth per pixel of disparity, disparities to search.
+# Folder, left, right, truth of the left, gray levels of the truth per pixel of disparity, disparities to search.
 FILES = {
     "tsukuba": (
         *("middlebury2001/tsukuba", "scene1.row3.col3.ppm", "scene1.row3.col4.ppm"),
@@ -32,7 +32,7 @@ EDGE_PX = 18  # the truth of Tsukuba has none there; left out of all scenes, as 
 
 
 class Scene(NamedTuple):
-    """A real pair: grey uint8 (H, W), truth float32 px with NaN where unknown, and the pixels that are counted."""
+    """A real pair: gray uint8 (H, W), truth float32 px with NaN where unknown, and the pixels that are counted."""
 
     left: U8
     right: U8
@@ -51,7 +51,7 @@ class Matched(NamedTuple):
 
 @functools.cache
 def scene(name: str, stereo_data: Path) -> Scene:
-    """The scene; counted are pixels with a truth that the right eye sees, outside a border of 18 px."""
+    """The scene; counted are pixels with a truth that the right camera sees, outside a border of 18 px."""
     folder, left_name, right_name, truth_name, levels, num_disparities = FILES[name]
     left, right, truth = (
         cv2.imread(str(stereo_data / folder / file), cv2.IMREAD_GRAYSCALE)
@@ -93,7 +93,7 @@ def _occluded(truth_px: F32) -> npt.NDArray[np.bool_]:
     disparity = truth_px[rows, columns]
     landing = columns - disparity
     nearest = np.full(truth_px.shape, -np.inf, np.float32)
-    # Both neighbours of a fractional landing are covered, so that surfaces stretched by their slant have no holes.
+    # Both neighbors of a fractional landing are covered, so that surfaces stretched by their slant have no holes.
     for at in (np.floor(landing).astype(int), np.ceil(landing).astype(int)):
         inside = (at >= 0) & (at < width)
         np.maximum.at(nearest, (rows[inside], at[inside]), disparity[inside])
@@ -101,6 +101,6 @@ def _occluded(truth_px: F32) -> npt.NDArray[np.bool_]:
     outside = (at < 0) | (at >= width)
     covering = nearest[rows, np.clip(at, 0, width - 1)]
     occluded = np.zeros(truth_px.shape, np.bool_)
-    # Neighbours on a slanted surface may share a landing; half a pixel nearer is another surface.
+    # Neighbors on a slanted surface may share a landing; half a pixel nearer is another surface.
     occluded[rows, columns] = outside | (covering > disparity + 0.5)
     return occluded

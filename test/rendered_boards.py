@@ -22,7 +22,7 @@ _MARGIN = 1.0  # squares of white around a board
 
 @dataclass(frozen=True, eq=False)
 class KnownRig:
-    """Two different cameras of one model; rotation vector and translation, metres, from left to right."""
+    """Two different cameras of one model; rotation vector and translation, meters, from left to right."""
 
     model: str
     left: F64
@@ -58,24 +58,24 @@ RIGS = {rig.model: rig for rig in (PINHOLE, RATIONAL, FISHEYE)}
 
 
 def poses(count: int, board_m: F64, rig: KnownRig, seed: int = 0) -> list[F64]:
-    """Poses of a board, tilted and everywhere, in which both eyes see all of it."""
+    """Poses of a board, tilted and everywhere, in which both cameras see all of it."""
     random = np.random.default_rng(seed)
     found: list[F64] = []
-    centre = board_m.mean(axis=0)
+    center = board_m.mean(axis=0)
     length = np.ptp(board_m, axis=0).max()
     while len(found) < count:
         rotation = random.uniform([-0.6, -0.6, -0.5], [0.6, 0.6, 0.5])
         where = random.uniform([-0.75, -0.55, 1.0], [0.85, 0.55, 2.2]) * length
         if rig.model != "equidistant":
             where[2] += 0.5 * length
-        pose = np.concatenate([rotation, where - cv2.Rodrigues(rotation)[0] @ centre])
-        pixels = [project(rig.model, eye, at, board_m).image_px for eye, at in _eyes(rig, pose)]
+        pose = np.concatenate([rotation, where - cv2.Rodrigues(rotation)[0] @ center])
+        pixels = [project(rig.model, side, at, board_m).image_px for side, at in _sides(rig, pose)]
         if all((each > 8).all() and (each < np.array(SIZE) - 9).all() for each in pixels):
             found.append(pose)
     return found
 
 
-def _eyes(rig: KnownRig, pose: F64) -> tuple[tuple[F64, F64], tuple[F64, F64]]:
+def _sides(rig: KnownRig, pose: F64) -> tuple[tuple[F64, F64], tuple[F64, F64]]:
     return (rig.left, pose), (rig.right, rig.second(pose))
 
 
@@ -93,12 +93,12 @@ def exact_views(
     board_m = chessboard_points(*size)
     random, ids = np.random.default_rng(1000 + seed), np.arange(len(board_m))
 
-    def corners(eye: F64, pose: F64) -> Corners:
-        exact = project(rig.model, eye, pose, board_m).image_px
+    def corners(side: F64, pose: F64) -> Corners:
+        exact = project(rig.model, side, pose, board_m).image_px
         return Corners(ids, board_m, exact + noise_px * random.normal(size=exact.shape))
 
     return [
-        BoardView(f"view{number:02d}", SIZE, *(corners(*each) for each in _eyes(rig, pose)))
+        BoardView(f"view{number:02d}", SIZE, *(corners(*each) for each in _sides(rig, pose)))
         for number, pose in enumerate(poses(count, board_m, rig, seed))
     ]
 
@@ -147,34 +147,34 @@ def _with_margin(image: U8, cell_px: int) -> U8:
 def photograph(
     print_: tuple[U8, F64], cell_px: int, cell_m: float, rig: KnownRig, pose: F64, noise: float = 2.0
 ) -> tuple[U8, U8]:
-    """Left and right picture of a print, 3 x 3 samples a pixel, with a little noise."""
+    """Left and right image of a print, 3 x 3 samples a pixel, with a little noise."""
     random = np.random.default_rng(round(1e6 * abs(pose[0])))
-    pictures = []
-    for eye, at in _eyes(rig, pose):
-        exact = _seen(print_, cell_px, cell_m, rig.model, eye, at)
-        pictures.append(np.clip(exact + noise * random.normal(size=exact.shape), 0, 255).round().astype(np.uint8))
-    return pictures[0], pictures[1]
+    images = []
+    for side, at in _sides(rig, pose):
+        exact = _seen(print_, cell_px, cell_m, rig.model, side, at)
+        images.append(np.clip(exact + noise * random.normal(size=exact.shape), 0, 255).round().astype(np.uint8))
+    return images[0], images[1]
 
 
 @functools.cache
 def chessboard_photographs() -> tuple[tuple[U8, U8], ...]:
-    """Eight views of a board of 7x5 corners by both eyes of the fisheye rig; rendered once for all tests."""
+    """Eight views of a board of 7x5 corners by both cameras of the fisheye rig; rendered once for all tests."""
     print_, board_m = chessboard_print(7, 5), chessboard_points(7, 5)
     return tuple(photograph(print_, 40, SQUARE_M, FISHEYE, pose) for pose in poses(8, board_m, FISHEYE, seed=3))
 
 
-def _seen(print_: tuple[U8, F64], cell_px: int, cell_m: float, model: str, eye: F64, pose: F64) -> F64:
+def _seen(print_: tuple[U8, F64], cell_px: int, cell_m: float, model: str, side: F64, pose: F64) -> F64:
     image, origin = print_
     width, height, fine = *SIZE, 3
     x, y = np.meshgrid((np.arange(width * fine) + 0.5) / fine - 0.5, (np.arange(height * fine) + 0.5) / fine - 0.5)
     pixels = np.column_stack([x.ravel(), y.ravel()]).reshape(-1, 1, 2)
-    K, D = camera_matrix(eye), eye[4:]
+    K, D = camera_matrix(side), side[4:]
     undistort = cv2.fisheye.undistortPoints if model == "equidistant" else cv2.undistortPoints
     rays = np.column_stack([undistort(pixels, K, D).reshape(-1, 2), np.ones(len(pixels))])
     R, t = cv2.Rodrigues(pose[:3])[0], pose[3:]
     normal = R[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        points = ((rays * ((normal @ t) / (rays @ normal))[:, None]) - t) @ R  # on the board, metres
+        points = ((rays * ((normal @ t) / (rays @ normal))[:, None]) - t) @ R  # on the board, meters
     at = (points[:, :2] / cell_m - origin) * cell_px - 0.5
     at = np.where(np.isfinite(at).all(axis=1, keepdims=True), at, -9).clip(-9, 30000).astype(np.float32)
     maps = at.reshape(height * fine, width * fine, 2)

@@ -37,22 +37,22 @@ def write_truth_bag(path: Path, frames: int) -> SyntheticSequence:
 def write_odd_bag(
     path: Path, frames: int, *, compressed: bool = False, without_right: Collection[int] = (), right_late_ns: int = 0
 ) -> None:
-    """Topics of other names, one camera info for the whole bag, images without a partner, right eyes that are late."""
+    """Topics of other names, one camera info for the whole bag, images without a partner, late right images."""
     made, types = sequence(frames), RosbagsTypes()
     name = "image/compressed" if compressed else "image"
     with BagWriter(path) as bag:
-        for eye, camera in (("cam0", made.rig.left), ("cam1", made.rig.right)):
-            bag.write(f"/{eye}/camera_info", camera_info_message(types, camera, 0), made.stamp_ns(0))
+        for side, camera in (("cam0", made.rig.left), ("cam1", made.rig.right)):
+            bag.write(f"/{side}/camera_info", camera_info_message(types, camera, 0), made.stamp_ns(0))
         for index, frame in enumerate(made):
-            for eye, image in (("cam0", frame.pair.left), ("cam1", frame.pair.right)):
-                if eye == "cam1" and index in without_right:
+            for side, image in (("cam0", frame.pair.left), ("cam1", frame.pair.right)):
+                if side == "cam1" and index in without_right:
                     continue
-                stamp_ns = image.stamp_ns + (right_late_ns if eye == "cam1" else 0)
+                stamp_ns = image.stamp_ns + (right_late_ns if side == "cam1" else 0)
                 if compressed:
                     message = compressed_message(types, image.pixels, "mono8", "png", stamp_ns, image.frame_id)
                 else:
                     message = image_message(types, image.pixels, "mono8", stamp_ns, image.frame_id)
-                bag.write(f"/{eye}/{name}", message, image.stamp_ns)
+                bag.write(f"/{side}/{name}", message, image.stamp_ns)
 
 
 def later(path: Path, target: Path, seconds: int) -> Path:

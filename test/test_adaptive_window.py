@@ -49,8 +49,8 @@ def plain_disparity(maps: list[F64], y: int, x: int) -> tuple[float, list[int], 
             other, _ = grown_window(maps, y, x, before[row, column])
             if other is not None:
                 found.append((other.surprise, before[row, column], other.increment))
-    _, centre, increment = min(found, key=lambda one: one[0])
-    return centre + float(np.clip(increment, -1, 1)), extent, centre != own
+    _, center, increment = min(found, key=lambda one: one[0])
+    return center + float(np.clip(increment, -1, 1)), extent, center != own
 
 
 def refined(left: F32, right: F32, before: F32) -> F32:
@@ -93,7 +93,7 @@ def test_pixels_beside_a_step_leave_the_wrong_surface() -> None:
     left, right = warped_pair(60, 120, disparity)
     fields = {**UNCHECKED, "correlation_window_size": 15}
     window, adaptive = (create_matcher(name, **fields).match(left, right) for name in ("window", "adaptive_window"))
-    # All around the square, but for the 8 columns to its left that the right eye does not see.
+    # All around the square, but for the 8 columns to its left that the right camera does not see.
     around = np.zeros(disparity.shape, np.bool_)
     around[9:51, 45:86] = True
     wrong_window, wrong = (np.mean(np.abs(one.disparity_px - disparity)[around] > 1) for one in (window, adaptive))
@@ -115,7 +115,7 @@ def test_sub_pixel_shift(low: int, shift: float) -> None:
     inner = np.s_[6:-6, 20:-20]
     result = create_matcher("adaptive_window", **fields).match(left, right)
     check_result(result, left.shape)
-    # Grey values and disparities are rounded: to 1 and to 1/16 px.
+    # Gray values and disparities are rounded: to 1 and to 1/16 px.
     assert np.abs(result.disparity_px[inner] - shift).max() <= 0.08
 
 

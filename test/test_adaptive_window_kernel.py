@@ -12,14 +12,14 @@ from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.matching.window import adaptive_window_kernel as window_growth
 
 
-def compiled_window(maps: list[F64], y: int, x: int, centre: float) -> tuple[float, float, list[int]]:
+def compiled_window(maps: list[F64], y: int, x: int, center: float) -> tuple[float, float, list[int]]:
     """Increment, how unlikely the pixels are, and extents, of the kernel."""
     left, right, before = (image.astype(np.float32) for image in maps)
     slope = np.zeros_like(right)
     slope[:, 1:-1] = (right[:, 2:] - right[:, :-2]) / 2
     sums, extents = window_growth.scratch(1)
     tables = (*window_growth.distances(), sums[0], extents[0, 0], extents[0, 1])
-    increment, surprise = window_growth.grow_window((left, right, slope, before), np.float32(centre), y, x, *tables)
+    increment, surprise = window_growth.grow_window((left, right, slope, before), np.float32(center), y, x, *tables)
     return increment, surprise, list(extents[0, 0])
 
 
@@ -32,14 +32,14 @@ def test_windows_stop_at_a_step_of_disparity() -> None:
     assert to_left == 3
 
 
-@pytest.mark.parametrize(("y", "x", "centre"), [(20, 48, 14.0), (20, 48, 6.0), (11, 70, 13.75), (2, 30, 6.0)])
-def test_a_window_is_the_definition(y: int, x: int, centre: float) -> None:
+@pytest.mark.parametrize(("y", "x", "center"), [(20, 48, 14.0), (20, 48, 6.0), (11, 70, 13.75), (2, 30, 6.0)])
+def test_a_window_is_the_definition(y: int, x: int, center: float) -> None:
     disparity = np.full((40, 90), 6, np.float32)
     disparity[:, 45:] = 14
     maps = [image.astype(np.float64) for image in (*warped_pair(40, 90, disparity), disparity)]
-    expected, extent = grown_window(maps, y, x, centre)
+    expected, extent = grown_window(maps, y, x, center)
     assert expected is not None
-    increment, surprise, grown = compiled_window(maps, y, x, centre)
+    increment, surprise, grown = compiled_window(maps, y, x, center)
     assert grown == extent
     # Sums are float32, of which the brightness is taken away.
     assert increment == pytest.approx(expected.increment, abs=5e-3)

@@ -52,12 +52,12 @@ def write_street(data: Path, path: Path, turn_deg: float) -> Path:
     with BagWriter(path) as bag:
         for frame in islice(dataset, PAIRS):
             right = cv2.warpPerspective(frame.right.pixels, H, frame.right.pixels.shape[::-1])
-            pictures = (("left", frame.left, frame.left.pixels), ("right", frame.right, right))
-            for (eye, image, pixels), camera in zip(pictures, (dataset.rig.left, dataset.rig.right), strict=True):
+            images = (("left", frame.left, frame.left.pixels), ("right", frame.right, right))
+            for (side, image, pixels), camera in zip(images, (dataset.rig.left, dataset.rig.right), strict=True):
                 stamp_ns = image.stamp_ns
-                bag.write(f"/{eye}/camera_info", camera_info_message(types, camera, stamp_ns), stamp_ns)
+                bag.write(f"/{side}/camera_info", camera_info_message(types, camera, stamp_ns), stamp_ns)
                 message = image_message(types, np.asarray(pixels, np.uint8), "mono8", stamp_ns, image.frame_id)
-                bag.write(f"/{eye}/image_raw", message, stamp_ns)
+                bag.write(f"/{side}/image_raw", message, stamp_ns)
     return path
 
 
@@ -67,18 +67,18 @@ def play(bag: Path, output: Path, health: str) -> Played:
     options = ReplayOptions(bag=str(bag), output=str(output))
     result = replay_through_graph(options, "fused", PARAMETERS, config, lambda *_: None, None, health)  # type: ignore[arg-type]
     assert result.lost == 0
-    pictures: dict[str, list[U8]] = {"left": [], "right": []}
+    images: dict[str, list[U8]] = {"left": [], "right": []}
     densities = []
     with BagReader(output) as reader:
-        for eye in pictures:
-            for message in reader.messages([f"/{eye}/image_rect"]):
+        for side in images:
+            for message in reader.messages([f"/{side}/image_rect"]):
                 image = reader.deserialize(message)
-                pictures[eye].append(np.asarray(image.data, np.uint8).reshape(image.height, image.width))
+                images[side].append(np.asarray(image.data, np.uint8).reshape(image.height, image.width))
         for message in reader.messages(["/disparity"]):
             found = reader.deserialize(message)
             values = np.frombuffer(found.image.data.tobytes(), np.float32)
             densities.append(np.mean(values >= found.min_disparity))
-    errors = [match_rows(*pair).errors_px for pair in list(zip(*pictures.values(), strict=True))[-SETTLED:]]
+    errors = [match_rows(*pair).errors_px for pair in list(zip(*images.values(), strict=True))[-SETTLED:]]
     return Played(output, float(np.mean(densities[-SETTLED:])), median(errors))
 
 
@@ -107,7 +107,7 @@ def test_density_and_rows_come_back(undisturbed: Played, corrected: Played) -> N
 def test_the_first_pairs_were_not_right(corrected: Played) -> None:
     """So that there was something to correct."""
     with BagReader(corrected.bag) as reader:
-        first = [next(iter(reader.messages([f"/{eye}/image_rect"]))) for eye in ("left", "right")]
+        first = [next(iter(reader.messages([f"/{side}/image_rect"]))) for side in ("left", "right")]
         images = [reader.deserialize(message) for message in first]
     pair = [np.asarray(image.data, np.uint8).reshape(image.height, image.width) for image in images]
     assert match_rows(pair[0], pair[1]).median_px > 3

@@ -29,8 +29,8 @@ def pair(seed: int, rig: StereoRig, w: F64, noise_px: float = 0.15) -> RowMatche
     points = np.column_stack((left, np.ones(250))) @ np.linalg.inv(RIG.left.P[:, :3]).T * depth_m[:, None]
     rays = (points - [RIG.baseline_m, 0, 0]) @ cv2.Rodrigues(w)[0].T @ RIG.right.R
     raw = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), RIG.right.K, RIG.right.D)[0]
-    eye = rig.right
-    right = cv2.undistortPoints(raw, eye.K, eye.D, None, eye.R, eye.P[:, :3])[:, 0]
+    side = rig.right
+    right = cv2.undistortPoints(raw, side.K, side.D, None, side.R, side.P[:, :3])[:, 0]
     noise = noise_px * random.standard_normal((2, 250, 2))
     return RowMatches(left + noise[0], np.asarray(right + noise[1], np.float64))
 

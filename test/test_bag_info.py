@@ -35,7 +35,7 @@ def write(
     infos: int = 1,
     rig: StereoRig = RIG,
 ) -> BagInfo:
-    """Five left images, ``rights`` right ones, ``infos`` camera infos an eye."""
+    """Five left images, ``rights`` right ones, ``infos`` camera infos a camera."""
     with BagWriter(path) as bag:
         for index in range(5):
             stamp = 1_000_000_000 + index * PERIOD_NS
@@ -74,7 +74,7 @@ def test_pairs_that_need_approximate_sync(tmp_path: Path) -> None:
 def test_pairs_that_are_too_far_apart(tmp_path: Path) -> None:
     info = write(tmp_path / "bag.mcap", right_late_ns=30_000_000)
     assert (info.exact_pairs, info.near_pairs, len(info.problems)) == (0, 0, 1)
-    assert "none is within 0.01 s: synchronise the cameras" in info.problems[0]
+    assert "none is within 0.01 s: synchronize the cameras" in info.problems[0]
     assert inspect_bag(tmp_path / "bag.mcap", tolerance_s=0.03).near_pairs == 5
 
 
@@ -126,11 +126,11 @@ def test_compressed_images_and_a_cut_bag(tmp_path: Path) -> None:
     ok, data = cv2.imencode(".png", np.zeros((HEIGHT, WIDTH), np.uint8))
     assert ok
     with BagWriter(tmp_path / "bag.mcap") as bag:
-        for eye, camera in (("left", RIG.left), ("right", RIG.right)):
-            header = make_header(TYPES, 7, eye)
+        for side, camera in (("left", RIG.left), ("right", RIG.right)):
+            header = make_header(TYPES, 7, side)
             message = TYPES.CompressedImage(header=header, format="mono8; png compressed ", data=data.ravel())
-            bag.write(f"/{eye}/image_raw/compressed", message, 7)
-            bag.write(f"/{eye}/camera_info", camera_info_message(TYPES, camera, 7), 7)
+            bag.write(f"/{side}/image_raw/compressed", message, 7)
+            bag.write(f"/{side}/camera_info", camera_info_message(TYPES, camera, 7), 7)
     cut = tmp_path / "cut.mcap"
     whole = (tmp_path / "bag.mcap").read_bytes()
     cut.write_bytes(whole[: whole.index(b"\x0f" + (4).to_bytes(8, "little"))])  # at the end of the data

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serialised pairs of a bag: pairing, camera infos, shifts of stamps, parts of a bag, errors."""
+"""Serialized pairs of a bag: pairing, camera infos, shifts of stamps, parts of a bag, errors."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def test_rectified_images_are_not_rectified_again(tmp_path: Path) -> None:
     """A driver that rectifies sends the camera infos of the raw cameras with image_rect."""
     path, frame, rig, types = tmp_path / "rect.mcap", sequence(1)[0], sequence(1).rig, RosbagsTypes()
     with BagWriter(path) as bag:
-        for eye, image, camera in (("left", frame.pair.left, rig.left), ("right", frame.pair.right, rig.right)):
-            bag.write(f"/{eye}/image_rect", image_message(types, image.pixels, "mono8", 5, eye), 5)
-            bag.write(f"/{eye}/camera_info", camera_info_message(types, camera, 4), 4)
+        for side, image, camera in (("left", frame.pair.left, rig.left), ("right", frame.pair.right, rig.right)):
+            bag.write(f"/{side}/image_rect", image_message(types, image.pixels, "mono8", 5, side), 5)
+            bag.write(f"/{side}/camera_info", camera_info_message(types, camera, 4), 4)
     with BagPairs(BagSelection(path), EXACT) as bag:
         pair = next(iter(bag.pairs()))
     infos = [types.deserialize(data, "sensor_msgs/msg/CameraInfo") for data in (pair.left_info, pair.right_info)]
@@ -61,7 +61,7 @@ def test_rectified_images_are_not_rectified_again(tmp_path: Path) -> None:
     for camera, source in ((read.left, rig.left), (read.right, rig.right)):
         assert source.D.any()
         assert not camera.D.any()
-        np.testing.assert_array_equal(camera.R, np.eye(3))
+        np.testing.assert_array_equal(camera.R, np.identity(3))
         np.testing.assert_array_equal(camera.K, source.P[:, :3])
 
 
@@ -128,8 +128,8 @@ def test_bag_without_stereo_names_bag_and_topics(tmp_path: Path) -> None:
 def test_bag_without_camera_infos_is_refused(tmp_path: Path) -> None:
     path, types, frame = tmp_path / "bare.mcap", RosbagsTypes(), sequence(1)[0]
     with BagWriter(path) as bag:
-        for eye in ("left", "right"):
-            bag.write(f"/{eye}/image", image_message(types, frame.pair.left.pixels, "mono8", 5, eye), 5)
+        for side in ("left", "right"):
+            bag.write(f"/{side}/image", image_message(types, frame.pair.left.pixels, "mono8", 5, side), 5)
     with pytest.raises(TopicError, match=r"no CameraInfo belongs to /left/image.*record the camera infos too"):
         BagPairs(BagSelection(path), EXACT)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a bag: left image and depth of one stamp."""
+"""The image of a bag: left image and depth of one stamp."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_picture_shows_depth_beside_the_left_image_of_the_same_stamp(tmp_path: P
     expected = preview(rgb[..., ::-1].copy(), depth_m, "title")
     found = cv2.imread(str(tmp_path / "p.png"))
     assert found.shape == expected.shape
-    # float32 rounding of Z may move a pixel to the next of 256 colours
+    # float32 rounding of Z may move a pixel to the next of 256 colors
     assert np.abs(found.astype(int) - expected).max() <= 12
 
 

@@ -277,7 +277,7 @@ def test_what_is_no_bag_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"is not a bag, it holds no \.mcap or \.db3 file"):
         BagReader(tmp_path)
     for name, content, reason in (
-        ("picture.png", b"x", "is not a bag"),
+        ("image.png", b"x", "is not a bag"),
         ("empty.mcap", b"", "is empty"),
         ("empty.db3", b"", "is empty"),
         ("text.mcap", b"just text" * 9, "is not an MCAP file"),

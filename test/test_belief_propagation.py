@@ -31,7 +31,7 @@ def test_a_chain_of_pixels_gets_its_least_energy(seed: int, shape: tuple[int, in
     labels = matcher._label(model)
     every = itertools.product(range(4), repeat=6)
     least = min(energy(model, np.reshape(candidate, shape).astype(np.int32)) for candidate in every)
-    # Random costs up to 1000 have one best labelling, so the best label of each pixel is that of the whole.
+    # Random costs up to 1000 have one best labeling, so the best label of each pixel is that of the whole.
     assert energy(model, labels) == matcher.energies[-1] == least
 
 

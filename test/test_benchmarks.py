@@ -47,8 +47,10 @@ def test_requirements_are_ratios_of_means(benchmark: ModuleType) -> None:
 
 
 def test_fixed_point_becomes_pixels(benchmark: ModuleType) -> None:
-    fixed = np.array([[-80, -64, -63, 0, 24]], np.int16)  # -80 is what OpenCV gives for none where -4 is the least
-    found = benchmark.disparities(lambda left, right: fixed, None, None, MatchingConfig(min_disparity=-4))
+    disparity_x16 = np.array(
+        [[-80, -64, -63, 0, 24]], np.int16
+    )  # -80 is what OpenCV gives for none where -4 is the least
+    found = benchmark.disparities(lambda left, right: disparity_x16, None, None, MatchingConfig(min_disparity=-4))
     np.testing.assert_array_equal(found, np.array([[np.nan, -4, -63 / 16, 0, 1.5]], np.float32))
 
 

@@ -43,7 +43,7 @@ def test_half_a_pixel_of_shift_costs_nothing_on_a_ramp() -> None:
     right = np.tile(10 * x + 40, (3, 1)).astype(np.uint8)  # the left ramp, seen 3.5 px further to the left
     costs = birchfield_tomasi(left, right, 0, 8)
     inner = costs[:, 8:-1]
-    # 5 grey levels away from the pixels at 3 and 4, but within the intervals of both; 10 levels a px beyond.
+    # 5 gray levels away from the pixels at 3 and 4, but within the intervals of both; 10 levels a px beyond.
     np.testing.assert_array_equal(np.unique(inner.reshape(-1, 8), axis=0), [[60, 40, 20, 0, 0, 20, 40, 60]])
 
 

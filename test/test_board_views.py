@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How boards lie in pictures, what views cover, which are new, and what is said where there are none."""
+"""How boards lie in images, what views cover, which are new, and what is said where there are none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stereo_depth_ros.calibration.boards import Board, Corners
 from stereo_depth_ros.calibration.view_finder import find_views
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.types import F64, U8
-from stereo_depth_ros.datasets.stereo_images import PicturePair
+from stereo_depth_ros.datasets.stereo_images import ImagePair
 
 SIZE = (640, 400)
 BOARD_M = chessboard_points(5, 4, 1.0)
@@ -44,7 +44,7 @@ def test_skew_is_the_angle_from_a_right_one() -> None:
 
 
 def test_coverage_says_what_is_missing() -> None:
-    assert Coverage.of([]).missing == ("show the board to both eyes",)
+    assert Coverage.of([]).missing == ("show the board to both cameras",)
     middle = Coverage.of([Placement(0.5, 0.5, 0.2, 0.1)])
     assert not middle.complete
     assert [text.split()[-2] for text in middle.missing[:4]] == ["left", "right", "upper", "lower"]
@@ -79,7 +79,7 @@ def test_views_have_to_be_new() -> None:
 
 @dataclass
 class Shown:
-    """Pairs of pictures whose first pixel says what is seen in them: the x of a board, or nothing where it is 0."""
+    """Pairs of images whose first pixel says what is seen in them: the x of a board, or nothing where it is 0."""
 
     pairs: list[tuple[int, int]]
     dense: bool = False
@@ -89,15 +89,15 @@ class Shown:
     def __len__(self) -> int:
         return len(self.pairs)
 
-    def __iter__(self) -> Iterator[PicturePair]:
+    def __iter__(self) -> Iterator[ImagePair]:
         for number, values in enumerate(self.pairs):
             left, right = (np.full(size[::-1], value, np.uint8) for size, value in zip(self.sizes, values, strict=True))
-            yield PicturePair(f"{number}.png", left, right)
+            yield ImagePair(f"{number}.png", left, right)
 
 
 @dataclass
 class Shown5x4:
-    """Finds in such pictures what they say, if it is the board that they show."""
+    """Finds in such images what they say, if it is the board that they show."""
 
     size: tuple[int, int] = (5, 4)
     counted: str = "inner corners"
@@ -141,7 +141,7 @@ def test_another_size_that_is_there_is_named() -> None:
 
 
 def test_one_eye_does_not_see_it() -> None:
-    with pytest.raises(CalibrationError, match=r"right eye sees the board in none of 2 pairs, the left eye in 2"):
+    with pytest.raises(CalibrationError, match=r"right camera sees the board in none of 2 pairs, the left camera in 2"):
         find_views(Shown([(50, 0), (60, 0)]), Shown5x4(), other)
 
 

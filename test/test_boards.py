@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boards are found in pictures of known cameras, where they are and in the right order."""
+"""Boards are found in images of known cameras, where they are and in the right order."""
 
 from __future__ import annotations
 
@@ -65,15 +65,15 @@ def aprilgrid(border_bits: int = 2, turns: int = 0) -> Sample:
 
 
 def found_and_exact(sample: Sample, rig: KnownRig, pose: F64) -> tuple[Corners, F64, Corners, F64]:
-    """Of both eyes what is found, and where these corners are; fails where the board is not found."""
+    """Of both cameras what is found, and where these corners are; fails where the board is not found."""
     left, right = (
         sample.board.detect(each) for each in photograph(sample.print_, sample.cell_px, sample.cell_m, rig, pose)
     )
     assert left is not None and right is not None, "board not found"
     right = sample.board.align(left, right)
     exact = [
-        project(rig.model, eye, at, corners.board_m).image_px
-        for eye, at, corners in ((rig.left, pose, left), (rig.right, rig.second(pose), right))
+        project(rig.model, side, at, corners.board_m).image_px
+        for side, at, corners in ((rig.left, pose, left), (rig.right, rig.second(pose), right))
     ]
     return left, exact[0], right, exact[1]
 
@@ -83,7 +83,7 @@ def test_chessboard(rig: KnownRig) -> None:
     sample = chessboard()
     for pose in poses(3, sample.board_m, rig, seed=4):
         left, exact_left, right, exact_right = found_and_exact(sample, rig, pose)
-        # A board may be counted from its other end, in both eyes alike
+        # A board may be counted from its other end, in both cameras alike
         turned = np.abs(left.image_px - exact_left).max() > 5
         for corners, exact in ((left, exact_left), (right, exact_right)):
             order = slice(None, None, -1 if turned else 1)
@@ -106,10 +106,10 @@ def test_charuco() -> None:
 def test_charuco_of_which_a_part_is_covered() -> None:
     sample = charuco()
     pose = poses(1, sample.board_m, PINHOLE, seed=2)[0]
-    picture, _ = photograph(sample.print_, sample.cell_px, sample.cell_m, PINHOLE, pose)
+    image, _ = photograph(sample.print_, sample.cell_px, sample.cell_m, PINHOLE, pose)
     exact = project(PINHOLE.model, PINHOLE.left, pose, sample.board_m).image_px
-    picture[:, : round(exact[:, 0].mean()) - 20] = 100
-    corners = sample.board.detect(picture)
+    image[:, : round(exact[:, 0].mean()) - 20] = 100
+    corners = sample.board.detect(image)
     assert corners is not None
     assert 8 <= len(corners.ids) < len(sample.board_m)
     assert np.sqrt(np.mean((corners.image_px - exact[corners.ids]) ** 2)) < 0.2
@@ -137,13 +137,11 @@ def test_no_board(kind: str) -> None:
 
 def test_edges_are_as_wide_as_they_are_blurred() -> None:
     """A step blurred by sigma has its contrast over its steepest slope at sqrt(2 pi) sigma."""
-    picture = np.full((200, 300), 40, np.uint8)
-    picture[:, 150:] = 200
+    image = np.full((200, 300), 40, np.uint8)
+    image[:, 150:] = 200
     corners = Corners(np.arange(6), np.zeros((6, 3)), np.column_stack((np.full(6, 149.5), np.arange(6) * 30.0 + 20)))
-    widths = [
-        edge_width_px(np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma), np.uint8), corners) for sigma in (2, 3)
-    ]
-    # The picture is smoothed by 0.7 px, and its slope taken over three pixels, first
+    widths = [edge_width_px(np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8), corners) for sigma in (2, 3)]
+    # The image is smoothed by 0.7 px, and its slope taken over three pixels, first
     assert widths[0] == pytest.approx(np.sqrt(2 * np.pi * (4 + 1.2)), rel=0.1)
     assert widths[1] / widths[0] == pytest.approx(1.45, rel=0.1)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rectification of calibrated cameras: rows of points that are known, what the pictures show, OpenCV, real pairs."""
+"""Rectification of calibrated cameras: rows of points that are known, what the images show, OpenCV, real pairs."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def cameras(model: str) -> tuple[CameraModel, CameraModel]:
         np.array([[1.04 * f, 0, 322], [0, 1.03 * f, 219], [0, 0, 1]]),
     )
     left, right = (
-        CameraModel(*SIZE, model, k, np.array(d), np.eye(3), np.eye(3, 4)) for k, d in zip(K, D, strict=True)
+        CameraModel(*SIZE, model, k, np.array(d), np.identity(3), np.identity(4)[:3]) for k, d in zip(K, D, strict=True)
     )
     return left, right
 
 
 def seen(points_m: F64, rig: StereoRig) -> tuple[F64, F64]:
-    """Points of the raw left camera in both rectified pictures, px; of the right one by its own pose and P."""
+    """Points of the raw left camera in both rectified images, px; of the right one by its own pose and P."""
     left = (points_m @ rig.left.R.T) @ rig.left.P[:, :3].T
     right_m = (points_m @ POSE.R.T + POSE.t) @ rig.right.R.T
     right = right_m @ rig.right.P[:, :3].T
@@ -77,9 +77,9 @@ def test_the_pose_of_the_rig_is_the_one_given() -> None:
 
 def test_rotations_are_the_textbook_s() -> None:
     R_left, R_right = rectifying_rotations(POSE)
-    T = POSE.right_centre
+    T = POSE.right_center
     np.testing.assert_allclose(R_left @ T / np.linalg.norm(T), [1, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(R_left @ R_left.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(R_left @ R_left.T, np.identity(3), atol=1e-15)
     np.testing.assert_allclose(R_right, R_left @ POSE.R.T)
     assert abs(R_left[1] @ [0, 0, 1]) < 1e-15  # the new y axis is at right angles to the old optical axis
 
@@ -100,7 +100,7 @@ def test_alpha_0_shows_valid_pixels_only(model: str, zero_disparity: bool) -> No
     assert rectifier.left_source.all()
     assert rectifier.right_source.all()
     assert common_area(rig) == Area(0, 0, *SIZE)
-    if model == "plumb_bob":  # it is not simply small: in one direction the picture is used up
+    if model == "plumb_bob":  # it is not simply small: in one direction the image is used up
         larger = Rectifier(replace_focal(rig, 0.98))
         assert not (larger.left_source.all() and larger.right_source.all())
 
@@ -108,7 +108,7 @@ def test_alpha_0_shows_valid_pixels_only(model: str, zero_disparity: bool) -> No
 def replace_focal(rig: StereoRig, factor: float) -> StereoRig:
     """The rig that shows a little more."""
     factors = np.array([[factor, 1, 1, factor], [1, factor, 1, 1], [1, 1, 1, 1]])
-    left, right = (replace(eye, P=eye.P * factors) for eye in (rig.left, rig.right))
+    left, right = (replace(side, P=side.P * factors) for side in (rig.left, rig.right))
     return StereoRig(left, right)
 
 
@@ -116,9 +116,9 @@ def replace_focal(rig: StereoRig, factor: float) -> StereoRig:
 def test_alpha_1_shows_all_raw_pixels(zero_disparity: bool) -> None:
     rig = rectify_calibrated(*cameras("plumb_bob"), POSE, alpha=1, zero_disparity=zero_disparity)
     touched = []
-    for eye in (rig.left, rig.right):
+    for side in (rig.left, rig.right):
         x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, SIZE[0] - 1, 40), np.linspace(0, SIZE[1] - 1, 30)))
-        rays = camera_rays(np.column_stack((x, y)), eye) @ eye.R.T @ eye.P[:, :3].T
+        rays = camera_rays(np.column_stack((x, y)), side) @ side.R.T @ side.P[:, :3].T
         pixels = rays[:, :2] / rays[:, 2:]
         assert (pixels > -0.5).all()
         assert (pixels < np.array(SIZE) - 0.5).all()
@@ -139,16 +139,16 @@ def test_alpha_is_between() -> None:
 
 
 def test_field_of_view_of_a_fisheye_is_limited() -> None:
-    """With all of it in the picture the edges are seen at half of the limit."""
-    eyes = cameras("equidistant")
-    narrow, wide = (rectify_calibrated(*eyes, POSE, alpha=1, max_fov_deg=degrees) for degrees in (90, 140))
+    """With all of it in the image the edges are seen at half of the limit."""
+    sides = cameras("equidistant")
+    narrow, wide = (rectify_calibrated(*sides, POSE, alpha=1, max_fov_deg=degrees) for degrees in (90, 140))
     assert narrow.f_px > 1.5 * wide.f_px
     corner_deg = np.degrees(np.arctan(np.hypot(narrow.width / 2, narrow.height / 2) / narrow.f_px))
     assert corner_deg >= 45
 
 
 def test_without_zero_disparity_verged_eyes_have_more_in_common() -> None:
-    """Eyes turned towards each other by 14 degrees."""
+    """Cameras turned towards each other by 14 degrees."""
     pose = RelativePose(cv2.Rodrigues(np.array([0.0, 0.25, 0.0]))[0], POSE.t)
     same, own = (rectify_calibrated(*cameras("plumb_bob"), pose, zero_disparity=zero) for zero in (True, False))
     assert same.doffs_px == 0
@@ -167,13 +167,13 @@ def test_common_area_is_valid_in_both() -> None:
 
 
 def test_rays_come_back_to_their_pixels() -> None:
-    for eye in (*cameras("plumb_bob"), *cameras("equidistant")):
+    for side in (*cameras("plumb_bob"), *cameras("equidistant")):
         pixels = np.random.default_rng(0).uniform((0, 0), SIZE, (50, 2))
-        rays = camera_rays(pixels, eye)
+        rays = camera_rays(pixels, side)
         np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1)
         front = rays[:, 2] > 0.1
-        project = cv2.fisheye.projectPoints if eye.distortion_model == "equidistant" else cv2.projectPoints
-        back = project(rays[front][:, None], np.zeros(3), np.zeros(3), eye.K, eye.D)[0].reshape(-1, 2)
+        project = cv2.fisheye.projectPoints if side.distortion_model == "equidistant" else cv2.projectPoints
+        back = project(rays[front][:, None], np.zeros(3), np.zeros(3), side.K, side.D)[0].reshape(-1, 2)
         np.testing.assert_allclose(back, pixels[front], atol=1e-3)
         assert front.sum() > 40
 
@@ -182,33 +182,33 @@ def test_rays_come_back_to_their_pixels() -> None:
     ("t", "text"),
     [
         ([0.3, 0.02, 0.0], "left and right are swapped"),
-        ([-0.1, 0.02, 0.4], "its epipole is in the picture or near to it"),
-        ([-0.1, 0.4, 0.02], "above or below: rotate the pictures by 90 degrees"),
+        ([-0.1, 0.02, 0.4], "its epipole is in the image or near to it"),
+        ([-0.1, 0.4, 0.02], "above or below: rotate the images by 90 degrees"),
     ],
 )
 def test_baselines_that_no_turn_makes_horizontal(t: list[float], text: str) -> None:
     for method in METHODS:
         with pytest.raises(CalibrationError, match=rf"limit 45.*{text}"):
-            rectify_calibrated(*cameras("plumb_bob"), RelativePose(np.eye(3), np.array(t)), method=method)
+            rectify_calibrated(*cameras("plumb_bob"), RelativePose(np.identity(3), np.array(t)), method=method)
 
 
 def test_what_cannot_be() -> None:
-    eyes = cameras("plumb_bob")
+    sides = cameras("plumb_bob")
     with pytest.raises(ConfigError, match="'bouguet' is none of textbook, opencv"):
-        rectify_calibrated(*eyes, POSE, method="bouguet")
+        rectify_calibrated(*sides, POSE, method="bouguet")
     with pytest.raises(ConfigError, match=r"alpha = 1\.5 is outside 0\.\.1"):
-        rectify_calibrated(*eyes, POSE, alpha=1.5)
+        rectify_calibrated(*sides, POSE, alpha=1.5)
     with pytest.raises(ConfigError, match=r"max_fov_deg = 180 is outside 10\.\.170"):
-        rectify_calibrated(*eyes, POSE, max_fov_deg=180)
-    with pytest.raises(CalibrationError, match="known up to scale, P takes metres"):
-        rectify_calibrated(*eyes, RelativePose(POSE.R, POSE.t, up_to_scale=True))
+        rectify_calibrated(*sides, POSE, max_fov_deg=180)
+    with pytest.raises(CalibrationError, match="known up to scale, P takes meters"):
+        rectify_calibrated(*sides, RelativePose(POSE.R, POSE.t, up_to_scale=True))
     with pytest.raises(CalibrationError, match=r"baseline 310\.\d+ m is outside"):
-        rectify_calibrated(*eyes, RelativePose(POSE.R, 990 * POSE.t))
+        rectify_calibrated(*sides, RelativePose(POSE.R, 990 * POSE.t))
     aside = RelativePose(
         cv2.Rodrigues(np.array([0, 1.3, 0.0]))[0], cv2.Rodrigues(np.array([0, 1.3, 0.0]))[0] @ [-0.3, 0, 0]
     )
     with pytest.raises(CalibrationError, match="nothing in common: the cameras look past each other"):
-        rectify_calibrated(*eyes, aside)
+        rectify_calibrated(*sides, aside)
 
 
 @pytest.mark.real_data

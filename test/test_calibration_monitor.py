@@ -24,7 +24,7 @@ from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, Frame, StereoPair
 from stereo_depth_ros.messages.image import image_message
-from stereo_depth_ros.nodes.calibration_monitor import HealthNode
+from stereo_depth_ros.nodes.calibration_monitor import CalibrationMonitor
 from stereo_depth_ros.stages.rectification import Rectifier
 
 pytestmark = pytest.mark.graph
@@ -33,7 +33,7 @@ EVERY = {"health_rate": 0.0}
 
 
 class TurnedCamera:
-    """A synthetic stereo camera whose right eye has turned since its calibration."""
+    """A synthetic stereo camera whose right camera has turned since its calibration."""
 
     def __init__(self, w_deg: list[float]) -> None:
         self.camera = StereoCamera(frames=2, width=480, height=360)
@@ -45,14 +45,14 @@ class TurnedCamera:
 
     def _turned(self, frame: Frame, turn: Any) -> Frame:
         """Undistorted, turned and distorted again."""
-        eye = self.rig.right
-        maps = cv2.initUndistortRectifyMap(eye.K, eye.D, None, eye.K, (eye.width, eye.height), cv2.CV_32FC1)
+        side = self.rig.right
+        maps = cv2.initUndistortRectifyMap(side.K, side.D, None, side.K, (side.width, side.height), cv2.CV_32FC1)
         straight = cv2.remap(frame.pixels, *maps, cv2.INTER_CUBIC)
-        y, x = np.mgrid[: eye.height, : eye.width].astype(np.float64)
+        y, x = np.mgrid[: side.height, : side.width].astype(np.float64)
         raw = np.column_stack((x.ravel(), y.ravel()))[:, None]
-        rays = cv2.undistortPoints(raw, eye.K, eye.D)[:, 0]
-        before = np.column_stack((rays, np.ones(len(rays)))) @ turn @ eye.K.T
-        at = (before[:, :2] / before[:, 2:]).reshape(eye.height, eye.width, 2).astype(np.float32)
+        rays = cv2.undistortPoints(raw, side.K, side.D)[:, 0]
+        before = np.column_stack((rays, np.ones(len(rays)))) @ turn @ side.K.T
+        at = (before[:, :2] / before[:, 2:]).reshape(side.height, side.width, 2).astype(np.float32)
         return replace(frame, pixels=np.asarray(cv2.remap(straight, at, None, cv2.INTER_CUBIC), np.uint8))
 
     def rectified(self, rig: StereoRig) -> tuple[U8, U8]:
@@ -66,9 +66,9 @@ class TurnedCamera:
         self.sent += 1
         stamp_ns = self.sent * NS_PER_S // 10
         found = self.camera.infos(stamp_ns)
-        for eye, pixels in zip(("left", "right"), self.rectified(rig), strict=True):
-            frame_id = f"{eye}_camera_optical_frame"
-            found[f"{eye}/image_rect"] = image_message(self.camera.types, pixels, "mono8", stamp_ns, frame_id)
+        for side, pixels in zip(("left", "right"), self.rectified(rig), strict=True):
+            frame_id = f"{side}_camera_optical_frame"
+            found[f"{side}/image_rect"] = image_message(self.camera.types, pixels, "mono8", stamp_ns, frame_id)
         return found
 
 
@@ -93,7 +93,7 @@ def send(graph: Graph, camera: TurnedCamera, pairs: int, rig: StereoRig | None =
 
 
 def test_good_rows(straight: TurnedCamera) -> None:
-    with Graph(HealthNode, parameters=EVERY) as graph:
+    with Graph(CalibrationMonitor, parameters=EVERY) as graph:
         figures = send(graph, straight, 4)
         assert figures[0]["row_median_px"] < 0.3
         assert figures[0]["matches"] > 60
@@ -109,7 +109,7 @@ def test_good_rows(straight: TurnedCamera) -> None:
 
 
 def test_a_turned_camera_is_told(pitched: TurnedCamera) -> None:
-    with Graph(HealthNode, parameters=EVERY) as graph:
+    with Graph(CalibrationMonitor, parameters=EVERY) as graph:
         figures = send(graph, pitched, 4)
         assert figures[-1]["pitch_deg"] == pytest.approx(0.5, abs=0.03)
         shift_px = -pitched.rig.fy_px * math.tan(math.radians(0.5))
@@ -122,14 +122,14 @@ def test_a_turned_camera_is_told(pitched: TurnedCamera) -> None:
 
 
 def test_it_watches_without_listeners(straight: TurnedCamera) -> None:
-    with Graph(HealthNode, parameters=EVERY) as graph:
+    with Graph(CalibrationMonitor, parameters=EVERY) as graph:
         graph.send(straight.messages(straight.rig))
         graph.wait(lambda: graph.counter("paired") == 1, "a pair")
 
 
 def test_pairs_are_looked_at_as_often_as_asked(straight: TurnedCamera) -> None:
     """Pairs are 0.1 s apart: of three, the first and the last are 0.2 s apart."""
-    with Graph(HealthNode, parameters={"health_rate": 5.0}) as graph:
+    with Graph(CalibrationMonitor, parameters={"health_rate": 5.0}) as graph:
         received = graph.listen("health/row_error", Float64MultiArray)
         for number in range(3):
             graph.send(straight.messages(straight.rig))
@@ -139,7 +139,7 @@ def test_pairs_are_looked_at_as_often_as_asked(straight: TurnedCamera) -> None:
 
 def test_corrections_bring_the_rows_together(pitched: TurnedCamera) -> None:
     """What is published is rectified with, pair after pair, and is told in the log and to late subscribers."""
-    with Graph(HealthNode, parameters={**EVERY, "auto_correct": True}) as graph:
+    with Graph(CalibrationMonitor, parameters={**EVERY, "auto_correct": True}) as graph:
         infos = graph.listen("right/camera_info_corrected", CameraInfo)
         rig = pitched.rig
         for number in range(14):
@@ -178,7 +178,7 @@ def of_sensor(info: CameraInfo) -> CameraInfo:
 
 def test_corrections_are_of_the_sensor(pitched: TurnedCamera) -> None:
     """Who takes region and binning into account gets the corrected camera; R and K change, and nothing else."""
-    with Graph(HealthNode, parameters={**EVERY, "auto_correct": True}) as graph:
+    with Graph(CalibrationMonitor, parameters={**EVERY, "auto_correct": True}) as graph:
         infos = graph.listen("right/camera_info_corrected", CameraInfo)
         looks = graph.listen("health/row_error", Float64MultiArray)
         corrections = graph.listen("health/correction", DiagnosticArray)
@@ -201,7 +201,9 @@ def test_corrections_are_of_the_sensor(pitched: TurnedCamera) -> None:
         growth = np.array([[1 + float(values["scale"])], [1 + float(values["scale"])], [1]])
         # As many digits as are told
         np.testing.assert_allclose(corrected.R, turn.T @ calibrated.R, atol=3e-7)
-        np.testing.assert_allclose(corrected.K, np.where(np.eye(3), growth * calibrated.K, calibrated.K), atol=5e-4)
+        np.testing.assert_allclose(
+            corrected.K, np.where(np.identity(3), growth * calibrated.K, calibrated.K), atol=5e-4
+        )
         assert match_rows(*pitched.rectified(replace(pitched.rig, right=corrected))).median_px < 0.3
         infos[-1].k, infos[-1].r = info.k, info.r
         assert infos[-1] == info
@@ -213,13 +215,13 @@ def applied(corrections: list[DiagnosticArray]) -> dict[str, str]:
 
 
 def test_corrections_that_nobody_takes_are_told(pitched: TurnedCamera) -> None:
-    with Graph(HealthNode, parameters={**EVERY, "auto_correct": True}) as graph:
+    with Graph(CalibrationMonitor, parameters={**EVERY, "auto_correct": True}) as graph:
         send(graph, pitched, 1)
         assert "nobody subscribes to /right/camera_info_corrected: remap" in graph.status().message
 
 
 def test_corrections_have_a_limit(pitched: TurnedCamera) -> None:
-    with Graph(HealthNode, parameters={**EVERY, "auto_correct": True, "correction_limit": 0.2}) as graph:
+    with Graph(CalibrationMonitor, parameters={**EVERY, "auto_correct": True, "correction_limit": 0.2}) as graph:
         infos = graph.listen("right/camera_info_corrected", CameraInfo)
         send(graph, pitched, 7)
         graph.wait(lambda: len(infos) == 7, "camera infos")
@@ -228,10 +230,10 @@ def test_corrections_have_a_limit(pitched: TurnedCamera) -> None:
 
 
 def test_pictures_without_features(straight: TurnedCamera) -> None:
-    with Graph(HealthNode, parameters=EVERY) as graph:
+    with Graph(CalibrationMonitor, parameters=EVERY) as graph:
         messages = straight.messages(straight.rig)
-        for eye in ("left", "right"):
-            messages[f"{eye}/image_rect"].data = bytes(len(messages[f"{eye}/image_rect"].data))
+        for side in ("left", "right"):
+            messages[f"{side}/image_rect"].data = bytes(len(messages[f"{side}/image_rect"].data))
         graph.send(messages)
         graph.wait(lambda: graph.counter("pairs with too few features") == 1, "a pair that shows nothing")
         assert graph.status().level == DiagnosticStatus.OK
@@ -239,4 +241,4 @@ def test_pictures_without_features(straight: TurnedCamera) -> None:
 
 def test_equal_topics_are_refused() -> None:
     with pytest.raises(TopicError, match="remap them to different topics"):
-        Graph(HealthNode, remaps={"left/image_rect": "/same", "right/image_rect": "/same"})
+        Graph(CalibrationMonitor, remaps={"left/image_rect": "/same", "right/image_rect": "/same"})

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The calibration node in a live graph: from pictures of a board to files and to the drivers of the cameras."""
+"""The calibration node in a live graph: from images of a board to files and to the drivers of the cameras."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def photographs() -> list[tuple[U8, U8]]:
 def messages(pair: tuple[U8, U8], number: int) -> dict[str, Any]:
     types, stamp_ns = RclpyTypes(), number * NS_PER_S // 10
     return {
-        f"{eye}/image_raw": image_message(types, pixels, "mono8", stamp_ns, eye)
-        for eye, pixels in zip(("left", "right"), pair, strict=True)
+        f"{side}/image_raw": image_message(types, pixels, "mono8", stamp_ns, side)
+        for side, pixels in zip(("left", "right"), pair, strict=True)
     }
 
 
@@ -61,7 +61,7 @@ def wait_for_look(graph: Graph, pair: tuple[U8, U8], count: int) -> None:
 
 def looks(graph: Graph) -> int:
     """Pairs looked at so far."""
-    return len(graph.nodes[0].health._timings_ms.get("look for the board", ()))
+    return len(graph.nodes[0].diagnostics._timings_ms.get("look for the board", ()))
 
 
 def trigger(graph: Graph, name: str) -> tuple[bool, str]:
@@ -71,7 +71,7 @@ def trigger(graph: Graph, name: str) -> tuple[bool, str]:
 
 def test_from_pictures_to_files_and_drivers(photographs: list[tuple[U8, U8]], tmp_path: Path) -> None:
     with Graph(CalibrationNode, parameters={**PARAMETERS, "calibration_folder": str(tmp_path / "out")}) as graph:
-        pictures = graph.listen("calibration/image", Image)
+        images = graph.listen("calibration/image", Image)
         show(graph, photographs[:3])
         told = facts(graph)
         assert told["views"] == "3"
@@ -82,8 +82,8 @@ def test_from_pictures_to_files_and_drivers(photographs: list[tuple[U8, U8]], tm
         assert not success
         assert "3 views so far, at least 5 are needed" in text
         show(graph, [photographs[0]] * 3 + photographs[3:])
-        graph.wait(lambda: pictures, "picture of the views")
-        assert (pictures[-1].encoding, pictures[-1].width) == ("bgr8", SIZE[0])
+        graph.wait(lambda: images, "image of the views")
+        assert (images[-1].encoding, images[-1].width) == ("bgr8", SIZE[0])
         success, text = trigger(graph, "calibrate")
         assert success, text
         assert "baseline 11" in text and "to do better" in text
@@ -110,17 +110,17 @@ def commit(graph: Graph, refusing: str = "") -> dict[str, Any]:
 
     taken: dict[str, Any] = {}
 
-    def take(eye: str) -> Any:
+    def take(side: str) -> Any:
         def answer(request: Any, response: Any) -> Any:
-            taken[eye] = request.camera_info
-            response.success, response.status_message = eye != refusing, "read-only" if eye == refusing else ""
+            taken[side] = request.camera_info
+            response.success, response.status_message = side != refusing, "read-only" if side == refusing else ""
             return response
 
         return answer
 
     drivers = rclpy.create_node("drivers", use_global_arguments=False)
-    for eye in ("left", "right"):
-        drivers.create_service(SetCameraInfo, f"{eye}/set_camera_info", take(eye))
+    for side in ("left", "right"):
+        drivers.create_service(SetCameraInfo, f"{side}/set_camera_info", take(side))
     executor = SingleThreadedExecutor()
     executor.add_node(drivers)
     done = threading.Event()
@@ -177,12 +177,12 @@ def test_nothing_is_committed_unless_both_drivers_are_there(
         assert not taken
 
 
-@pytest.mark.parametrize("eye", ["left", "right"])
-def test_a_driver_that_refuses(photographs: list[tuple[U8, U8]], eye: str) -> None:
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_driver_that_refuses(photographs: list[tuple[U8, U8]], side: str) -> None:
     with Graph(CalibrationNode, parameters=PARAMETERS) as graph:
         show(graph, photographs)
         assert trigger(graph, "calibrate")[0]
-        assert ("right" in commit(graph, refusing=eye)) == (eye == "right")
+        assert ("right" in commit(graph, refusing=side)) == (side == "right")
 
 
 def test_motion_limit_changes_at_run_time(photographs: list[tuple[U8, U8]]) -> None:
@@ -210,10 +210,10 @@ def test_what_is_wrong_with_pictures_is_told(photographs: list[tuple[U8, U8]]) -
         left, right = photographs[0]
         show(graph, [(left, right)])
         graph.send(messages((left, right[:-4]), 9))
-        graph.wait_error(r"the right picture is 400x296, those before were 400x300")
+        graph.wait_error(r"the right image is 400x296, those before were 400x300")
         show_nothing = np.full_like(left, 70)
         graph.send(messages((show_nothing, show_nothing), 10))
-        graph.wait(lambda: facts(graph)["newest pair"].startswith("no board is seen"), "word of an empty picture")
+        graph.wait(lambda: facts(graph)["newest pair"].startswith("no board is seen"), "word of an empty image")
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def info(roi: tuple[int, int, int, int] = (0, 0, 0, 0), binning: tuple[int, int]
         distortion_model="plumb_bob",
         d=[-0.2, 0.1, 0.001, 0.002, 0.0],
         k=[500.0, 0, 330, 0, 480, 210, 0, 0, 1],
-        r=np.eye(3).ravel(),
+        r=np.identity(3).ravel(),
         p=[450.0, 0, 310, -54, 0, 440, 190, 0, 0, 0, 1, 0],
         binning_x=binning[0],
         binning_y=binning[1],
@@ -111,7 +111,7 @@ def test_written_is_read_through_cdr(model: str, D: Any) -> None:
 def test_info_of_a_rectified_image() -> None:
     K = np.array([[400.0, 0, 150], [0, 410, 97], [0, 0, 1]])
     rig = StereoRig.from_calibration(
-        K, [-0.2, 0.1, 0, 0], K, [-0.1, 0, 0, 0], np.eye(3), [-0.12, 0.01, 0], (320, 200), frame_id="left_frame"
+        K, [-0.2, 0.1, 0, 0], K, [-0.1, 0, 0, 0], np.identity(3), [-0.12, 0.01, 0], (320, 200), frame_id="left_frame"
     )
     message = rectified_camera_info(RosbagsTypes(), rig.left, 7)
     assert (message.width, message.height, message.distortion_model) == (320, 200, "plumb_bob")
@@ -119,5 +119,5 @@ def test_info_of_a_rectified_image() -> None:
     f_px, cx, cy = rig.f_px, rig.cx_left, rig.cy
     np.testing.assert_array_equal(message.k, [f_px, 0, cx, 0, rig.fy_px, cy, 0, 0, 1])
     np.testing.assert_array_equal(message.p, [f_px, 0, cx, 0, 0, rig.fy_px, cy, 0, 0, 0, 1, 0])
-    np.testing.assert_array_equal(message.r, np.eye(3).ravel())
+    np.testing.assert_array_equal(message.r, np.identity(3).ravel())
     np.testing.assert_array_equal(message.d, np.zeros(5))

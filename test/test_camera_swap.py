@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Swapped eyes are told from pictures, and nothing else is taken for them."""
+"""Swapped cameras are told from images, and nothing else is taken for them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.stages import camera_swap as swapped_eyes
-from stereo_depth_ros.stages.camera_swap import EyeOrder
+from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
@@ -31,14 +31,14 @@ def verged_pair() -> tuple[U8, U8, float]:
 
 def test_right_order_passes(verged_pair: tuple[U8, U8, float]) -> None:
     left, right, doffs_px = verged_pair
-    EyeOrder(doffs_px).check(left, right)
+    CameraSwapDetector(doffs_px).check(left, right)
 
 
 def test_swapped_eyes_are_refused_until_they_are_right(verged_pair: tuple[U8, U8, float]) -> None:
     left, right, doffs_px = verged_pair
-    order = EyeOrder(doffs_px)
+    order = CameraSwapDetector(doffs_px)
     for _ in range(3):
-        with pytest.raises(ImageError, match=r"eyes look swapped: \d+ % .* exchange the image topics"):
+        with pytest.raises(ImageError, match=r"cameras look swapped: \d+ % .* exchange the image topics"):
             order.check(right, left)
     order.check(left, right)
     order.check(right, left)  # once known it is not looked at again: the topics of a graph do not change by themselves
@@ -46,10 +46,10 @@ def test_swapped_eyes_are_refused_until_they_are_right(verged_pair: tuple[U8, U8
 
 def test_pictures_that_show_nothing_pass_and_are_looked_at_again(verged_pair: tuple[U8, U8, float]) -> None:
     left, right, doffs_px = verged_pair
-    order = EyeOrder(doffs_px)
+    order = CameraSwapDetector(doffs_px)
     for _ in range(10):
         order.check(np.zeros_like(left), np.zeros_like(right))
-    with pytest.raises(ImageError, match="eyes look swapped"):
+    with pytest.raises(ImageError, match="cameras look swapped"):
         order.check(right, left)
 
 
@@ -64,7 +64,7 @@ def test_no_thread_passes_swapped_eyes_while_another_looks_at_them(
         return smooth_share(*pair)
 
     monkeypatch.setattr(swapped_eyes, "_smooth_share", slow)
-    order, start = EyeOrder(doffs_px), threading.Barrier(2)
+    order, start = CameraSwapDetector(doffs_px), threading.Barrier(2)
 
     def refused(_: int) -> bool:
         start.wait(timeout=60)
@@ -80,7 +80,7 @@ def test_no_thread_passes_swapped_eyes_while_another_looks_at_them(
 
 def test_images_too_small_for_the_search_pass() -> None:
     noise = np.random.default_rng(5).integers(0, 255, (40, 50), np.uint8)
-    EyeOrder(0.0).check(noise, noise)
+    CameraSwapDetector(0.0).check(noise, noise)
 
 
 @pytest.mark.real_data
@@ -97,17 +97,19 @@ def test_images_too_small_for_the_search_pass() -> None:
 def test_real_pairs(stereo_data: Path, left: str, right: str, doffs_px: float) -> None:
     left_path = stereo_data / left
     images = [cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in (left_path, left_path.with_name(right))]
-    EyeOrder(doffs_px).check(images[0], images[1])
-    with pytest.raises(ImageError, match="eyes look swapped"):
-        EyeOrder(doffs_px).check(images[1], images[0])
+    CameraSwapDetector(doffs_px).check(images[0], images[1])
+    with pytest.raises(ImageError, match="cameras look swapped"):
+        CameraSwapDetector(doffs_px).check(images[1], images[0])
 
 
 @pytest.mark.real_data
 def test_an_offset_that_lets_swapped_points_lie_in_front_is_not_refused(stereo_data: Path) -> None:
     """Cropped images: doffs is -31 px, so that half the scene has a depth in either order."""
     folder = stereo_data / "middlebury2014" / "Motorcycle_quarter"
-    left, right = (cv2.imread(str(folder / f"motorcycle_{eye}.png"), cv2.IMREAD_GRAYSCALE) for eye in ("left", "right"))
-    EyeOrder(-31.086).check(left, right)
+    left, right = (
+        cv2.imread(str(folder / f"motorcycle_{side}.png"), cv2.IMREAD_GRAYSCALE) for side in ("left", "right")
+    )
+    CameraSwapDetector(-31.086).check(left, right)
 
 
 @pytest.mark.real_data
@@ -117,4 +119,4 @@ def test_infinity_far_below_zero_is_no_sign_of_swapped_eyes(stereo_data: Path, s
     folder = stereo_data / "middlebury2005" / scene
     left, right = (cv2.imread(str(folder / f"view{number}.png"), cv2.IMREAD_GRAYSCALE) for number in (1, 5))
     doffs_px = -float((folder / "dmin.txt").read_text()) / 3
-    EyeOrder(doffs_px).check(left, right)
+    CameraSwapDetector(doffs_px).check(left, right)

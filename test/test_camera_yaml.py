@@ -61,7 +61,7 @@ def test_file_of_camera_calibration(path: Path) -> None:
     assert (camera.width, camera.height, camera.distortion_model, camera.frame_id) == (640, 480, "plumb_bob", "")
     np.testing.assert_array_equal(camera.K, [[537.5, 0, 326.2], [0, 536.1, 249.7], [0, 0, 1]])
     np.testing.assert_array_equal(camera.D, [-0.28, 0.07, 1e-5, -2.5e-4, 0])
-    np.testing.assert_array_equal(camera.R, np.eye(3))
+    np.testing.assert_array_equal(camera.R, np.identity(3))
     np.testing.assert_array_equal(camera.P, [[500, 0, 320, -41.6], [0, 500, 240, 0], [0, 0, 1, 0]])
 
 
@@ -104,8 +104,8 @@ def test_refused_files(path: Path, old: str, new: str, match: str) -> None:
 def test_files_that_cannot_be_opened(camera: CameraModel, tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r"none\.yaml: cannot be read .*No such file"):
         read_camera(tmp_path / "none.yaml")
-    (tmp_path / "picture.yaml").write_bytes(b"\xff\xd8\xff\xe0")
-    with pytest.raises(CalibrationError, match=r"picture\.yaml: is no plain YAML"):
-        read_camera(tmp_path / "picture.yaml")
+    (tmp_path / "image.yaml").write_bytes(b"\xff\xd8\xff\xe0")
+    with pytest.raises(CalibrationError, match=r"image\.yaml: is no plain YAML"):
+        read_camera(tmp_path / "image.yaml")
     with pytest.raises(CalibrationError, match=r"left\.yaml: cannot be written"):
         write_camera(tmp_path / "none" / "left.yaml", camera, "left")

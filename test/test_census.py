@@ -15,7 +15,7 @@ I64 = npt.NDArray[np.int64]
 
 
 def census_by_definition(image: U8) -> U64:
-    """uint64 (H, W): from the top left to the bottom right neighbour of 9 x 7, a bit says darker than the centre."""
+    """uint64 (H, W): from the top left to the bottom right neighbor of 9 x 7, a bit says darker than the center."""
     height, width = image.shape
     codes = np.zeros(image.shape, np.uint64)
     for y in range(height):
@@ -71,7 +71,7 @@ def costs(left: U64, right: U64, max_disparity: int, count: int, first: int = 0,
 @pytest.mark.parametrize("shape", [(13, 29), (1, 17), (9, 1), (2, 3)])
 @pytest.mark.parametrize("levels", [256, 3])
 def test_census_is_that_of_the_definition(shape: tuple[int, int], levels: int) -> None:
-    image = np.random.default_rng(levels).integers(0, levels, shape, np.uint8)  # 3 levels: many neighbours are equal
+    image = np.random.default_rng(levels).integers(0, levels, shape, np.uint8)  # 3 levels: many neighbors are equal
     np.testing.assert_array_equal(census(image), census_by_definition(image))
 
 

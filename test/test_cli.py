@@ -165,7 +165,7 @@ def test_convert_images_tells_what_it_leaves_out(run: Run, tmp_path: Path) -> No
     told = " ".join(err.split())
     assert code == 0
     assert "2 pairs written" in told and "2 images left out" in told
-    assert "left1.png has no right picture beside it" in told and "right4.png has no left picture beside it" in told
+    assert "left1.png has no right image beside it" in told and "right4.png has no left image beside it" in told
 
 
 @pytest.mark.parametrize("command", ["info", "replay", "process", "demo", "parameters", "synthesize", "convert kitti"])
@@ -185,7 +185,7 @@ def test_demo_plays_the_sample_bag_and_names_bag_and_picture(
     code, out, err = run("demo", "--output-dir", tmp_path / "out")
     assert code == 0, err
     assert len(messages_of(tmp_path / "out" / "demo.mcap", "/points2")) == 2
-    picture = cv2.imread(str(tmp_path / "out" / "demo.png"))
-    assert picture.shape[1] > 2 * 600
+    image = cv2.imread(str(tmp_path / "out" / "demo.png"))
+    assert image.shape[1] > 2 * 600
     for text in ("pairs in", "valid pixels", "error against truth", "pairs a second", "p95 ms", ": match", "demo.png"):
         assert text in out

@@ -45,7 +45,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture(scope="module")
 def photographs() -> list[tuple[U8, U8]]:
-    """Eight views by both eyes, and one of nothing."""
+    """Eight views by both cameras, and one of nothing."""
     pairs = list(chessboard_photographs())
     return [*pairs, (np.full_like(pairs[0][0], 90), np.full_like(pairs[0][1], 90))]
 
@@ -53,11 +53,11 @@ def photographs() -> list[tuple[U8, U8]]:
 @pytest.fixture
 def folder(tmp_path: Path, photographs: list[tuple[U8, U8]]) -> Path:
     for number, pair in enumerate(photographs):
-        for eye, picture in zip(("left", "right"), pair, strict=True):
-            path = tmp_path / "pictures" / eye / f"{number}.png"
+        for side, image in zip(("left", "right"), pair, strict=True):
+            path = tmp_path / "images" / side / f"{number}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(path), picture)
-    return tmp_path / "pictures"
+            cv2.imwrite(str(path), image)
+    return tmp_path / "images"
 
 
 def check_files(output: Path) -> None:
@@ -66,8 +66,8 @@ def check_files(output: Path) -> None:
     assert rig.left.K[0, 0] == pytest.approx(FISHEYE.left[0], abs=1.0)
     assert rig.right.distortion_model == "equidistant"
     assert rig.f_px == pytest.approx(125.6, rel=0.05)  # that of the exact cameras
-    picture = cv2.imread(str(output / "coverage.png"))
-    assert picture is not None and picture.shape[1] > 1000
+    image = cv2.imread(str(output / "coverage.png"))
+    assert image is not None and image.shape[1] > 1000
 
 
 def test_pictures_of_a_folder(run: Run, tmp_path: Path, folder: Path) -> None:
@@ -91,8 +91,8 @@ def test_bag(run: Run, tmp_path: Path, photographs: list[tuple[U8, U8]]) -> None
         for number, pair in enumerate(photographs):
             for again in range(3):
                 stamp_ns = (3 * number + again) * 100_000_000
-                for eye, picture in zip(("left", "right"), pair, strict=True):
-                    bag.write(f"/{eye}/image_raw", image_message(types, picture, "mono8", stamp_ns, eye), stamp_ns)
+                for side, image in zip(("left", "right"), pair, strict=True):
+                    bag.write(f"/{side}/image_raw", image_message(types, image, "mono8", stamp_ns, side), stamp_ns)
     code, out, err = run(tmp_path / "board.mcap", *BOARD, "-o", tmp_path / "out", "--json", "-")
     assert code == 0, err
     check_files(tmp_path / "out")
@@ -142,4 +142,4 @@ def test_output_that_is_a_file(run: Run, tmp_path: Path, folder: Path) -> None:
 def test_nothing_there(run: Run, tmp_path: Path) -> None:
     code, _, err = run(tmp_path / "none", *BOARD, "-o", tmp_path / "out")
     assert code == 1
-    assert "does not exist: name a folder of pictures, or a bag" in " ".join(err.split())
+    assert "does not exist: name a folder of images, or a bag" in " ".join(err.split())

@@ -80,16 +80,16 @@ def test_the_sample_bag_is_healthy_in_table_and_json(run: Run, tmp_path: Path) -
 
 
 def test_a_fault_has_its_remedy_in_the_table_and_exit_code_1(run: Run, tmp_path: Path) -> None:
-    def millimetres(topic: str, message: Any) -> tuple[str, Any]:
+    def millimeters(topic: str, message: Any) -> tuple[str, Any]:
         if topic == "/right/camera_info":
             message = replace(message, p=np.where(np.arange(12) == 3, 1000 * message.p, message.p))
         return topic, message
 
-    code, out, err = run(variant(tmp_path / "mm.mcap", millimetres))
+    code, out, err = run(variant(tmp_path / "mm.mcap", millimeters))
     assert (code, err) == (1, "")
     assert "error" in out and "120.054 m is outside" in out
     assert "what to do" in out
-    assert "written in millimetres: multiply P[0,3] of the right camera by 0.001" in out
+    assert "written in millimeters: multiply P[0,3] of the right camera by 0.001" in out
     assert "not usable; baseline" in out.splitlines()[-1]
 
 
@@ -105,7 +105,7 @@ def test_warnings_are_exit_code_0(run: Run, tmp_path: Path) -> None:
 
 
 def test_what_could_not_be_looked_at_is_exit_code_3(run: Run, tmp_path: Path) -> None:
-    """Pictures of a ramp: neither black nor empty, but without features."""
+    """Images of a ramp: neither black nor empty, but without features."""
 
     def smooth(topic: str, message: Any) -> tuple[str, Any]:
         if topic.endswith("image_raw"):
@@ -124,7 +124,7 @@ def test_swapped_image_topics(run: Run, tmp_path: Path) -> None:
     bag = variant(tmp_path / "swapped.mcap", lambda topic, message: (other.get(topic, topic), message), frames=1)
     code, found = findings(run, bag)
     assert code == 1
-    assert found["order of the eyes"]["remedy"] == "exchange the image topics of left and right"
+    assert found["order of the cameras"]["remedy"] == "exchange the image topics of left and right"
 
 
 def test_a_bag_without_camera_infos(run: Run, tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_images_that_cannot_be_decoded(run: Run, tmp_path: Path) -> None:
     code, found = findings(run, variant(tmp_path / "odd.mcap", odd, frames=2))
     assert code == 1
     assert "encoding = 'magic' is not read" in found["images of /left/image_raw"]["value"]
-    assert found["pictures"]["level"] == "left_out"
+    assert found["images"]["level"] == "left_out"
 
 
 def test_a_bag_that_is_cut_is_examined_up_to_there(run: Run, tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth rectify`: with a calibration and without, pictures, figures, wrong input."""
+"""`stereo-depth rectify`: with a calibration and without, images, figures, wrong input."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_by_the_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -
     assert result["metric"] is True
     assert result["before"]["median_px"] > 2
     assert result["after"]["median_px"] < 0.3
-    assert "in metres" in out
+    assert "in meters" in out
     left = cv2.imread(str(tmp_path / "out" / "left.png"), cv2.IMREAD_GRAYSCALE)
     assert left is not None
     np.testing.assert_array_equal(left, Rectifier(SCENE.rig).rectify_left(next(iter(SCENE)).pair.left.pixels))
@@ -83,7 +83,7 @@ def test_rectified_anew(run: Run, tmp_path: Path, pair: tuple[Path, Path], metho
 
 
 def test_without_a_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
-    """Distortion is removed by the lenses' K and D; the rows come from the pictures."""
+    """Distortion is removed by the lenses' K and D; the rows come from the images."""
     arguments = ("--uncalibrated", "--rig", tmp_path / "rig", "-o", tmp_path / "out", "--json", "-")
     code, out, err = run(*pair, *arguments)
     assert (code, err) == (0, "")
@@ -98,7 +98,7 @@ def test_without_a_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]
 def test_lenses_without_calibration_are_taken_to_be_straight(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     code, out, err = run(*pair, "--uncalibrated", "-o", tmp_path / "out")
     assert code == 0
-    assert "no metres" in out
+    assert "no meters" in out
     assert "warning: lenses were taken to have no distortion" in err
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth rig`: tables, JSON, picture, wrong input."""
+"""`stereo-depth rig`: tables, JSON, image, wrong input."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.plots.depth_error import depth_error_picture
+from stereo_depth_ros.plots.depth_error import depth_error_plot
 
 Run = Callable[..., tuple[int, str, str]]
 RIG = StereoRig.from_rectified(400.0, 420.0, 330.0, 318.0, 205.0, 0.125, (640, 430))
@@ -47,8 +47,8 @@ def rig_file(tmp_path: Path) -> Path:
 
 
 def test_table_json_and_picture(run: Run, tmp_path: Path, rig_file: Path) -> None:
-    picture, report = tmp_path / "e.png", tmp_path / "r.json"
-    code, out, err = run(rig_file, "--nearest", "0.5", "--picture", picture, "--json", report)
+    image, report = tmp_path / "e.png", tmp_path / "r.json"
+    code, out, err = run(rig_file, "--nearest", "0.5", "--image", image, "--json", report)
     assert (code, err) == (0, "")
     result = json.loads(report.read_text())
     assert result["rig"]["baseline_m"] == pytest.approx(0.125)
@@ -60,7 +60,7 @@ def test_table_json_and_picture(run: Run, tmp_path: Path, rig_file: Path) -> Non
     assert result["depths"][4]["sigma_m"] == pytest.approx(0.125, rel=1e-6)
     for text in ("field of view", "rectified", "error 5 %", "--param min_disparity:=12 --param disparity_range:=112"):
         assert text in out
-    drawn = cv2.imread(str(picture))
+    drawn = cv2.imread(str(image))
     assert drawn is not None and drawn.std() > 10
 
 
@@ -83,7 +83,7 @@ def test_a_search_whose_nearest_depth_is_too_inexact(run: Run, rig_file: Path) -
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--nearest", "0.01"), "the pictures are 640 px wide"),
+        (("--nearest", "0.01"), "the images are 640 px wide"),
         (("--max-error", "0"), "max_error = 0 is not above 0"),
         (("--param", "disparity_range:=7"), "disparity_range = 7 is outside"),
         (("--matcher", "none"), "none"),
@@ -101,7 +101,7 @@ def test_files_that_are_no_rig(run: Run, rig_file: Path) -> None:
     right.write_text(good.replace(repr(float(RIG.right.P[0, 3])), repr(1000 * float(RIG.right.P[0, 3]))))
     code, _, err = run(rig_file)
     assert code == 1
-    assert "probably written in millimetres" in " ".join(err.split())
+    assert "probably written in millimeters" in " ".join(err.split())
     right.unlink()
     code, _, err = run(rig_file)
     assert code == 1
@@ -111,7 +111,7 @@ def test_files_that_are_no_rig(run: Run, rig_file: Path) -> None:
 def test_picture_has_a_line_for_each_baseline() -> None:
     depths = np.linspace(0.1, 10, 50)
     lines = {"60 mm": depths**2 * 0.01, "120 mm": depths**2 * 0.005}
-    both = depth_error_picture(depths, lines, dict.fromkeys(lines, 0.5), 0.05, "title")
-    one = depth_error_picture(depths, {"60 mm": lines["60 mm"]}, {"60 mm": 0.5}, 0.05, "title")
+    both = depth_error_plot(depths, lines, dict.fromkeys(lines, 0.5), 0.05, "title")
+    one = depth_error_plot(depths, {"60 mm": lines["60 mm"]}, {"60 mm": 0.5}, 0.05, "title")
     assert both.shape == one.shape
     assert np.count_nonzero((both != one).any(axis=2)) > 300

@@ -14,7 +14,7 @@ import pytest
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.matching import MATCHERS, create_matcher
-from stereo_depth_ros.matching.local_consistency import RADIUS, agreement
+from stereo_depth_ros.matching.local_consistency import RADIUS, local_consistency
 from stereo_depth_ros.stages.disparity import DisparityStage
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
@@ -77,7 +77,7 @@ def test_what_the_stage_takes_out_has_none(name: str, fill_holes: bool) -> None:
     assert (confidence[kept] > 0).any()
     np.testing.assert_array_equal(confidence[kept], confidence_of(matched)[kept])
     if name in ("bm", "sgbm", "window", "adaptive_window", "diffusion"):  # what was taken out supports no neighbor
-        np.testing.assert_array_equal(confidence, agreement(result.disparity_px))
+        np.testing.assert_array_equal(confidence, local_consistency(result.disparity_px))
 
 
 def around(removed: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Matches of raw pictures, and where the points would be without distortion."""
+"""Matches of raw images, and where the points would be without distortion."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ COEFFICIENTS = {
 
 
 def camera(model: str, D: list[float]) -> CameraModel:
-    return CameraModel(*SIZE, model, K_LEFT, np.array(D), np.eye(3), np.eye(3, 4))
+    return CameraModel(*SIZE, model, K_LEFT, np.array(D), np.identity(3), np.identity(4)[:3])
 
 
 def texture() -> U8:
     """Blobs of several sizes that are not alike."""
     random = np.random.default_rng(5)
     octaves = [cv2.resize(random.random((240 // k, 320 // k)), (320, 240), interpolation=2) for k in (4, 8, 16)]
-    picture: U8 = cv2.normalize(sum(octaves), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    return picture
+    image: U8 = cv2.normalize(sum(octaves), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    return image
 
 
 def mapped(H: F64, points: F64) -> F64:
@@ -66,11 +66,11 @@ def test_pictures_without_anything_in_common() -> None:
 
 
 def test_pictures_that_are_not_grey() -> None:
-    grey = texture()
-    with pytest.raises(ImageError, match=r"left picture is float32 of shape \(240, 320\)"):
-        match_features(grey.astype(np.float32), grey)
-    with pytest.raises(ImageError, match=r"right picture is uint8 of shape \(240, 320, 3\).*convert it to grey"):
-        match_features(grey, cv2.merge([grey, grey, grey]))
+    gray = texture()
+    with pytest.raises(ImageError, match=r"left image is float32 of shape \(240, 320\)"):
+        match_features(gray.astype(np.float32), gray)
+    with pytest.raises(ImageError, match=r"right image is uint8 of shape \(240, 320, 3\).*convert it to gray"):
+        match_features(gray, cv2.merge([gray, gray, gray]))
 
 
 def test_points_of_different_number() -> None:
@@ -81,16 +81,16 @@ def test_points_of_different_number() -> None:
 @pytest.mark.parametrize("model", COEFFICIENTS)
 def test_undistorted_points_are_those_of_the_pinhole(model: str) -> None:
     """Rays are projected with and without distortion; the one is turned into the other."""
-    eye = camera(model, COEFFICIENTS[model])
+    side = camera(model, COEFFICIENTS[model])
     rays = np.random.default_rng(1).uniform((-0.75, -0.5), (0.7, 0.5), (200, 2))
     points = np.column_stack((rays, np.ones(200)))
     none = np.zeros(3)
     if model == "equidistant":
-        raw = cv2.fisheye.projectPoints(points[:, None], none, none, eye.K, eye.D)[0][:, 0]
+        raw = cv2.fisheye.projectPoints(points[:, None], none, none, side.K, side.D)[0][:, 0]
     else:
-        raw = cv2.projectPoints(points, none, none, eye.K, eye.D)[0][:, 0]
-    expected = rays * [eye.K[0, 0], eye.K[1, 1]] + eye.K[:2, 2]
-    np.testing.assert_allclose(undistort_points(raw, eye), expected, atol=1e-6)
+        raw = cv2.projectPoints(points, none, none, side.K, side.D)[0][:, 0]
+    expected = rays * [side.K[0, 0], side.K[1, 1]] + side.K[:2, 2]
+    np.testing.assert_allclose(undistort_points(raw, side), expected, atol=1e-6)
     assert np.abs(raw - expected).max() > 5
 
 
@@ -101,11 +101,11 @@ def test_without_distortion_points_stay() -> None:
 
 def test_points_that_no_pinhole_sees_are_left_out() -> None:
     """Of a fisheye, a point 95 degrees off the axis."""
-    eye = camera("equidistant", [0.0, 0.0, 0.0, 1e-9])
-    beyond = np.array([eye.K[0, 2] + eye.K[0, 0] * np.radians(95), eye.K[1, 2]])
+    side = camera("equidistant", [0.0, 0.0, 0.0, 1e-9])
+    beyond = np.array([side.K[0, 2] + side.K[0, 0] * np.radians(95), side.K[1, 2]])
     matches = Correspondences(np.vstack((beyond, [100.0, 90.0])), np.array([[90.0, 80.0], [91.0, 81.0]]))
-    assert np.isnan(undistort_points(matches.left_px, eye)[0]).all()
-    left_over = matches.undistorted(eye, camera("plumb_bob", [0.0] * 5))
+    assert np.isnan(undistort_points(matches.left_px, side)[0]).all()
+    left_over = matches.undistorted(side, camera("plumb_bob", [0.0] * 5))
     np.testing.assert_allclose(left_over.right_px, [[91.0, 81.0]])
 
 

@@ -18,7 +18,7 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32
 from stereo_depth_ros.datasets.dataset import StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
-from stereo_depth_ros.datasets.image_files import read_image, read_picture
+from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
 from stereo_depth_ros.datasets.images import ImagesDataset
 from stereo_depth_ros.datasets.kitti import KittiDataset, read_calibration, rig_from_calibration
 from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
@@ -29,9 +29,9 @@ from stereo_depth_ros.messages.image import decode
 WIDTH, HEIGHT = 44, 30
 
 
-def picture(path: Path, size: tuple[int, int] = (WIDTH, HEIGHT), value: int = 7) -> None:
+def image(path: Path, size: tuple[int, int] = (WIDTH, HEIGHT), value: int = 7) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    shape = (size[1], size[0], 3) if path.suffix == ".ppm" else (size[1], size[0])  # .ppm is always colour
+    shape = (size[1], size[0], 3) if path.suffix == ".ppm" else (size[1], size[0])  # .ppm is always color
     assert cv2.imwrite(str(path), np.full(shape, value, np.uint8))
 
 
@@ -42,8 +42,8 @@ def truth_of(dataset: StereoDataset) -> F32:
 
 
 def make_2014(folder: Path, truth: F32 | None = None) -> Path:
-    picture(folder / "im0.png", value=1)
-    picture(folder / "im1.png", value=2)
+    image(folder / "im0.png", value=1)
+    image(folder / "im1.png", value=2)
     if truth is not None:
         cv2.imwrite(str(folder / "disp0.pfm"), truth)
     (folder / "calib.txt").write_text(
@@ -87,8 +87,8 @@ def test_middlebury_truth_is_scaled_by_year_and_size(
     tmp_path: Path, left: str, right: str, truth: str, width: int, level: int, disparity_px: float
 ) -> None:
     for name, value in ((left, 1), (right, 2), (truth, level)):
-        picture(tmp_path / name, (width, 8), value)
-    unknown = read_picture(tmp_path / truth)
+        image(tmp_path / name, (width, 8), value)
+    unknown = read_disparity_image(tmp_path / truth)
     unknown[2, 3] = 0
     cv2.imwrite(str(tmp_path / truth), unknown)
     found = truth_of(MiddleburyDataset(tmp_path, focal_px=300.0, baseline_m=0.1))
@@ -98,7 +98,7 @@ def test_middlebury_truth_is_scaled_by_year_and_size(
 
 def test_middlebury_2005_has_published_numbers(tmp_path: Path) -> None:
     for name in ("view1.png", "view5.png", "disp1.png"):
-        picture(tmp_path / name, (463, 8))
+        image(tmp_path / name, (463, 8))
     with pytest.raises(BagError, match=r"neither calib\.txt nor dmin\.txt.*--focal-px and --baseline-m"):
         MiddleburyDataset(tmp_path)
     assert MiddleburyDataset(tmp_path, doffs=12.5).rig.doffs_px == pytest.approx(-12.5)
@@ -113,10 +113,10 @@ def test_middlebury_2005_has_published_numbers(tmp_path: Path) -> None:
 
 def test_middlebury_without_a_calibration(tmp_path: Path) -> None:
     for name in ("im2.png", "im6.png"):
-        picture(tmp_path / name)
+        image(tmp_path / name)
     with pytest.raises(BagError, match="is not a Middlebury scene"):
         MiddleburyDataset(tmp_path)
-    picture(tmp_path / "disp2.png")
+    image(tmp_path / "disp2.png")
     with pytest.raises(BagError, match=r"no calib\.txt: .*--focal-px and --baseline-m \(and --doffs"):
         MiddleburyDataset(tmp_path)
     elsewhere = make_2014(tmp_path / "other") / "calib.txt"
@@ -129,10 +129,10 @@ def test_middlebury_files_that_are_broken(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"calib\.txt is not a Middlebury calibration"):
         MiddleburyDataset(tmp_path)
     make_2014(tmp_path)
-    picture(tmp_path / "im1.png", (WIDTH - 1, HEIGHT))
+    image(tmp_path / "im1.png", (WIDTH - 1, HEIGHT))
     with pytest.raises(CalibrationError, match=rf"im1\.png: the image is {WIDTH - 1}x{HEIGHT}"):
         MiddleburyDataset(tmp_path)
-    (tmp_path / "im1.png").write_bytes(b"no picture")
+    (tmp_path / "im1.png").write_bytes(b"no image")
     with pytest.raises(BagError, match=r"im1\.png is not a readable image"):
         MiddleburyDataset(tmp_path)
 
@@ -140,9 +140,9 @@ def test_middlebury_files_that_are_broken(tmp_path: Path) -> None:
 def test_pictures_that_are_not_there_or_have_colour(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"gone\.png is not a readable image"):
         read_image(tmp_path / "gone.png")
-    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((4, 5, 3), np.uint8))
-    with pytest.raises(BagError, match=r"colour\.png has 3 channels"):
-        read_picture(tmp_path / "colour.png")
+    cv2.imwrite(str(tmp_path / "color.png"), np.zeros((4, 5, 3), np.uint8))
+    with pytest.raises(BagError, match=r"color\.png has 3 channels"):
+        read_disparity_image(tmp_path / "color.png")
 
 
 P0 = "50.5 0 20.25 0 0 51.5 14 0 0 0 1 0"
@@ -151,8 +151,8 @@ P1 = "50.5 0 20.25 -27.27 0 51.5 14 0 0 0 1 0"
 
 def make_kitti(folder: Path, left: str = "image_0", right: str = "image_1", names: int = 3) -> Path:
     for index in range(names):
-        picture(folder / left / f"{index:06d}.png", value=10 + index)
-        picture(folder / right / f"{index:06d}.png", value=20 + index)
+        image(folder / left / f"{index:06d}.png", value=10 + index)
+        image(folder / right / f"{index:06d}.png", value=20 + index)
     (folder / "calib.txt").write_text(f"P0: {P0}\nP1: {P1}\n")
     return folder
 
@@ -188,8 +188,8 @@ def test_kitti_times(tmp_path: Path) -> None:
 def make_excerpt(folder: Path, numbers: tuple[int, ...], pattern: str = "{:06d}.png") -> Path:
     """Frames of a sequence, whose gray levels are their numbers."""
     for number in numbers:
-        picture(folder / "image_0" / pattern.format(number), value=number)
-        picture(folder / "image_1" / pattern.format(number), value=number)
+        image(folder / "image_0" / pattern.format(number), value=number)
+        image(folder / "image_1" / pattern.format(number), value=number)
     (folder / "calib.txt").write_text(f"P0: {P0}\nP1: {P1}\n")
     return folder
 
@@ -282,8 +282,8 @@ def test_kitti_names_that_do_not_number_the_frames(tmp_path: Path) -> None:
 
 def test_kitti_stereo_benchmark_has_a_calibration_a_pair_and_a_truth(tmp_path: Path) -> None:
     for name in ("000000_10.png", "000001_10.png", "000002_10.png"):
-        picture(tmp_path / "image_2" / name)
-        picture(tmp_path / "image_3" / name)
+        image(tmp_path / "image_2" / name)
+        image(tmp_path / "image_3" / name)
     rows = "P_rect_02: 50.5 0 20 2.02 0 51.5 14 0.2 0 0 1 0.002\nP_rect_03: 50.5 0 20 -18.18 0 51.5 14 2 0 0 1 0.003\n"
     (tmp_path / "calib_cam_to_cam").mkdir()
     for index, text in enumerate((rows, rows.replace("50.5", "60.5"), rows)):
@@ -334,7 +334,7 @@ def make_euroc(folder: Path, model: str = "radial-tangential") -> Path:
     for camera, x, stamps in (("cam0", 0.01, (20, 10, 30, 50)), ("cam1", 0.21, (10, 30, 40, 50))):
         root = folder / "mav0" / camera
         for stamp in stamps[:3]:  # the last row has no image
-            picture(root / "data" / f"{stamp}.png", value=stamp)
+            image(root / "data" / f"{stamp}.png", value=stamp)
         rows = "".join(f"{stamp},{stamp}.png\r\n" for stamp in stamps)
         (root / "data.csv").write_text("#timestamp [ns],filename\r\n" + rows)
         (root / "sensor.yaml").write_text(SENSOR.format(x=x, model=model))
@@ -370,12 +370,12 @@ def test_euroc_folders_that_lack_something(tmp_path: Path) -> None:
         EurocDataset(folder)
 
 
-@pytest.mark.parametrize("pattern", ["{eye}/{index}.png", "{eye}{index}.png"])
+@pytest.mark.parametrize("pattern", ["{camera}/{index}.png", "{camera}{index}.png"])
 def test_images(tmp_path: Path, pattern: str) -> None:
     rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
     for index in range(2):
-        picture(tmp_path / pattern.format(eye="left", index=index), value=index)
-        picture(tmp_path / pattern.format(eye="right", index=index), value=index + 5)
+        image(tmp_path / pattern.format(side="left", index=index), value=index)
+        image(tmp_path / pattern.format(side="right", index=index), value=index + 5)
     with pytest.raises(BagError, match=r"no calibration .*left\.yaml, .*right\.yaml"):
         ImagesDataset(tmp_path)
     write_camera(tmp_path / "left.yaml", rig.left, "left")
@@ -384,18 +384,18 @@ def test_images(tmp_path: Path, pattern: str) -> None:
     assert dataset.rig.doffs_px == pytest.approx(-3.25)
     assert [(f.left.pixels[0, 0], f.right.pixels[0, 0]) for f in dataset] == [(0, 5), (1, 6)]
     assert len(dataset) == 2 and dataset.rig.frame_id == "left_optical_frame"
-    alone = tmp_path / pattern.format(eye="right", index=9)
-    picture(alone)
+    alone = tmp_path / pattern.format(side="right", index=9)
+    image(alone)
     dataset = ImagesDataset(tmp_path, right_yaml=tmp_path / "other.yaml")
     assert (len(dataset), dataset.left_out) == (2, 1)
-    assert dataset.warnings == [f"{alone} has no left picture beside it: it is left out"]
+    assert dataset.warnings == [f"{alone} has no left image beside it: it is left out"]
 
 
 def make_images(folder: Path, names: dict[str, int]) -> Path:
     """Images by name and gray level, and a calibration."""
     rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
     for name, value in names.items():
-        picture(folder / name, value=value)
+        image(folder / name, value=value)
     write_camera(folder / "left.yaml", rig.left, "left")
     write_camera(folder / "right.yaml", rig.right, "right")
     return folder
@@ -448,13 +448,13 @@ def test_images_of_other_folders_and_masks_are_no_frames(tmp_path: Path, pattern
 
 def test_images_without_any_pair(tmp_path: Path) -> None:
     folder = make_images(tmp_path, {"left/3.png": 3, "left/4.png": 4, "right/5.png": 5, "right/6.png": 6})
-    with pytest.raises(BagError, match=r"no left picture has the number of a right one, such as 3\.png and 5\.png"):
+    with pytest.raises(BagError, match=r"no left image has the number of a right one, such as 3\.png and 5\.png"):
         ImagesDataset(folder)
 
 
 def test_middlebury_image_of_another_scene_is_no_partner(tmp_path: Path) -> None:
     for name, value in (("a_left.png", 1), ("b_left.png", 2), ("b_right.png", 3), ("c_right.png", 4)):
-        picture(tmp_path / name, value=value)
+        image(tmp_path / name, value=value)
     for name in "abc":
         np.savez(tmp_path / f"{name}_disp.npz", np.full((HEIGHT, WIDTH), ord(name), np.float32))
     dataset = MiddleburyDataset(tmp_path, focal_px=300.0, baseline_m=0.1)
@@ -492,10 +492,10 @@ def test_a_dataset_becomes_a_bag(tmp_path: Path) -> None:
 
 def test_pairs_without_times_are_counted_at_the_rate(tmp_path: Path) -> None:
     rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
-    for eye, camera in (("left", rig.left), ("right", rig.right)):
-        write_camera(tmp_path / f"{eye}.yaml", camera, eye)
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        write_camera(tmp_path / f"{side}.yaml", camera, side)
         for index in range(3):
-            picture(tmp_path / eye / f"{index}.png")
+            image(tmp_path / side / f"{index}.png")
     dataset = ImagesDataset(tmp_path)
     convert_dataset(dataset, tmp_path / "out.mcap", rate_hz=4.0)
     with BagReader(tmp_path / "out.mcap") as reader:
@@ -568,8 +568,8 @@ def test_real_kitti_raw_calibration(stereo_data: Path) -> None:
     assert (rectified.f_px, rectified.cx_left, rectified.cy) == (721.5377, 609.5593, 172.854)
     assert rectified.baseline_m == pytest.approx(387.5744 / 721.5377)
     assert not rectified.left.D.any()
-    colour = rig_from_calibration(values, (2, 3), (1242, 375))
-    assert colour.baseline_m == pytest.approx((339.5242 + 44.85728) / 721.5377)
+    color = rig_from_calibration(values, (2, 3), (1242, 375))
+    assert color.baseline_m == pytest.approx((339.5242 + 44.85728) / 721.5377)
     raw = rig_from_calibration(values, (0, 1), (1392, 512))
     assert raw.left.K[0, 0] == 984.2439 and raw.right.D[0] == -0.3644661
     assert raw.baseline_m == pytest.approx(rectified.baseline_m)

@@ -11,7 +11,7 @@ import pytest
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import Reason
-from stereo_depth_ros.stages.depth import depth_from_disparity, depth_sigma, millimetres, reject_behind
+from stereo_depth_ros.stages.depth import depth_from_disparity, depth_sigma, millimeters, reject_behind
 
 WIDTH, HEIGHT = 37, 23
 
@@ -62,7 +62,7 @@ def test_sigma_is_the_derivative_of_depth(rig: StereoRig) -> None:
 
 def test_millimetres_round_and_are_zero_where_there_is_none() -> None:
     depth_m = np.array([[1.2344, 1.2346, np.nan, 65.535, 65.536, np.inf]], np.float32)
-    assert millimetres(depth_m).tolist() == [[1234, 1235, 0, 65535, 0, 0]]
+    assert millimeters(depth_m).tolist() == [[1234, 1235, 0, 65535, 0, 0]]
 
 
 def test_what_is_not_in_front_of_the_cameras_is_rejected_with_its_reason() -> None:

@@ -99,7 +99,7 @@ def test_values_that_cannot_be() -> None:
         Precision(1 / 16, 0.25, 1.5)
     with pytest.raises(ConfigError, match=r"search ends at 11 px, infinity is at 12\.00 px"):
         depth_range(RIG, MatchingConfig(min_disparity=-20, num_disparities=32), PRECISION)
-    with pytest.raises(ConfigError, match=r"at 0\.05 m the disparity is 1012 px and the pictures are 640 px wide"):
+    with pytest.raises(ConfigError, match=r"at 0\.05 m the disparity is 1012 px and the images are 640 px wide"):
         recommended_search(RIG, 0.05)
     with pytest.raises(ConfigError, match="nearest distance -1 m is not above 0"):
         recommended_search(RIG, -1)

@@ -73,7 +73,7 @@ def plain_bayesian(data: F64, iterations: int) -> F64:
         wide = np.pad(p, ((0, 0), (0, 0), (1, 1)))
         smooth = (wide[:, :, 1:-1] + beside * (wide[:, :, :-2] + wide[:, :, 2:])) / (1 + 2 * beside)
         heard = -np.log((1 - diffusion.STEP_OUTLIERS) * smooth + diffusion.STEP_OUTLIERS)
-        energies = data + diffusion.NEIGHBOUR_WEIGHT * np.sum(four_neighbours(heard), axis=0)
+        energies = data + diffusion.NEIGHBOR_WEIGHT * np.sum(four_neighbours(heard), axis=0)
     return energies
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Filters of disparities against their definitions, neighbourhood by neighbourhood."""
+"""Filters of disparities against their definitions, neighborhood by neighborhood."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The doctor's checks of stamps, pictures, rows and disparities, each for itself."""
+"""The doctor's checks of stamps, images, rows and disparities, each for itself."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.diagnosis.checks.disparities import check_depths
-from stereo_depth_ros.diagnosis.checks.images import check_exposure, check_two_eyes
+from stereo_depth_ros.diagnosis.checks.images import check_exposure, check_two_cameras
 from stereo_depth_ros.diagnosis.checks.rows import RowMatching, check_rows
 from stereo_depth_ros.diagnosis.checks.streams import check_streams
 from stereo_depth_ros.diagnosis.finding import Finding, Level
@@ -47,7 +47,7 @@ def test_stamps_that_are_never_equal_get_a_tolerance() -> None:
 def test_stamps_that_are_too_far_apart() -> None:
     found = streams(stamps(20), stamps(20, 40_000_000))
     assert found["pairs"].level is Level.ERROR
-    assert "synchronise the cameras" in found["pairs"].remedy
+    assert "synchronize the cameras" in found["pairs"].remedy
     assert "stamp offset" not in found
 
 
@@ -72,7 +72,7 @@ def test_stamps_that_are_not_set_or_not_rising() -> None:
     assert streams(looped, stamps(5))["left stamps"].value == "1 equal, 1 backwards of 11"
 
 
-# pictures
+# images
 
 
 def test_exposure() -> None:
@@ -83,9 +83,9 @@ def test_exposure() -> None:
     assert "empty" in check_exposure([np.full_like(noise, 90)], "left").remedy
     glare = np.where(np.arange(60)[:, None] < 18, np.uint8(255), noise)
     assert check_exposure([glare], "left").level is Level.WARNING
-    assert check_two_eyes([noise, noise], [noise[::-1], noise[::-1]]).level is Level.OK
-    assert "both topics show one camera" in check_two_eyes([noise], [noise.copy()]).remedy
-    assert "left is 80x60, right is 70x60" in check_two_eyes([noise], [noise[:, :70]]).value
+    assert check_two_cameras([noise, noise], [noise[::-1], noise[::-1]]).level is Level.OK
+    assert "both topics show one camera" in check_two_cameras([noise], [noise.copy()]).remedy
+    assert "left is 80x60, right is 70x60" in check_two_cameras([noise], [noise[:, :70]]).value
 
 
 # rows
@@ -94,7 +94,7 @@ WIDTH, HEIGHT, F_PX = 640, 480, 430.0
 
 
 def matching(error: Callable[[F64, F64], F64], disparity: tuple[float, float] = (5.0, 60.0)) -> RowMatching:
-    """Points all over the picture; row error, y_left - y_right, by their place, and noise of 0.1 px."""
+    """Points all over the image; row error, y_left - y_right, by their place, and noise of 0.1 px."""
     random = np.random.default_rng(11)
     left = random.uniform((70, 0), (WIDTH, HEIGHT), (600, 2))
     d = random.uniform(*disparity, 600)

@@ -17,35 +17,35 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.kitti import KittiDataset
-from stereo_depth_ros.diagnosis.checks.disparities import check_eyes
-from stereo_depth_ros.diagnosis.checks.rows import check_raw_rows, check_rows, match_pictures
+from stereo_depth_ros.diagnosis.checks.disparities import check_camera_order
+from stereo_depth_ros.diagnosis.checks.rows import check_raw_rows, check_rows, match_image_pairs
 from stereo_depth_ros.diagnosis.doctor import diagnose
 from stereo_depth_ros.diagnosis.finding import Level
-from stereo_depth_ros.diagnosis.survey import EyeRecord, StereoSetUp
+from stereo_depth_ros.diagnosis.survey import CameraRecord, StereoSetup
 from stereo_depth_ros.messages.camera_info import camera_info_message
 
 
-def of_dataset(dataset: EurocDataset | KittiDataset, pairs: int) -> StereoSetUp:
+def of_dataset(dataset: EurocDataset | KittiDataset, pairs: int) -> StereoSetup:
     types = RosbagsTypes()
     frames = list(dataset)
     chosen = [StereoPair(frame.left, frame.right) for frame in frames[:: len(frames) // pairs]]
     records = [
-        EyeRecord(f"/{eye}/image_raw", f"/{eye}/camera_info", stamps_, [camera_info_message(types, camera, 0)])
-        for eye, camera, stamps_ in (
+        CameraRecord(f"/{side}/image_raw", f"/{side}/camera_info", stamps_, [camera_info_message(types, camera, 0)])
+        for side, camera, stamps_ in (
             ("left", dataset.rig.left, [frame.left.stamp_ns for frame in frames]),
             ("right", dataset.rig.right, [frame.right.stamp_ns for frame in frames]),
         )
     ]
-    return StereoSetUp("dataset", records[0], records[1], chosen)
+    return StereoSetup("dataset", records[0], records[1], chosen)
 
 
 @pytest.fixture(scope="module")
-def euroc(stereo_data: Path) -> StereoSetUp:
+def euroc(stereo_data: Path) -> StereoSetup:
     return of_dataset(EurocDataset(stereo_data / "euroc" / "V1_01_micro"), 1)
 
 
 @pytest.mark.real_data
-def test_euroc_is_healthy(euroc: StereoSetUp) -> None:
+def test_euroc_is_healthy(euroc: StereoSetup) -> None:
     diagnosis = diagnose(euroc)
     assert diagnosis.level is Level.OK, diagnosis.verdict
     found = all_of(diagnosis)
@@ -62,20 +62,20 @@ def test_kitti_is_healthy(stereo_data: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_euroc_with_swapped_eyes(euroc: StereoSetUp) -> None:
+def test_euroc_with_swapped_eyes(euroc: StereoSetup) -> None:
     diagnosis = diagnose(replace(euroc, pairs=[StereoPair(pair.right, pair.left) for pair in euroc.pairs]))
-    assert diagnosis.verdict == "not usable; order of the eyes: exchange the image topics of left and right"
+    assert diagnosis.verdict == "not usable; order of the cameras: exchange the image topics of left and right"
 
 
 @pytest.mark.real_data
-def test_euroc_in_millimetres(euroc: StereoSetUp) -> None:
+def test_euroc_in_millimetres(euroc: StereoSetup) -> None:
     diagnosis = diagnose(with_infos(euroc, as_is, times("p", 3, 1000)))
     assert faults(diagnosis).keys() == {"baseline"}
     assert "multiply P[0,3] of the right camera by 0.001, the baseline is then 0.1101 m" in diagnosis.verdict
 
 
 @pytest.mark.real_data
-def test_euroc_rolled_by_half_a_degree(euroc: StereoSetUp) -> None:
+def test_euroc_rolled_by_half_a_degree(euroc: StereoSetup) -> None:
     def rolled(pair: StereoPair) -> StereoPair:
         turn = cv2.getRotationMatrix2D((376, 240), 0.5, 1.0)
         pixels = cv2.warpAffine(pair.right.pixels, turn, (752, 480), flags=cv2.INTER_CUBIC)
@@ -90,13 +90,13 @@ def test_euroc_rolled_by_half_a_degree(euroc: StereoSetUp) -> None:
 
 @pytest.mark.real_data
 def test_infinity_far_below_disparity_0(stereo_data: Path) -> None:
-    """Cropped pictures: exchanged, all points would have a depth too, and no order is refused."""
+    """Cropped images: exchanged, all points would have a depth too, and no order is refused."""
     folder = stereo_data / "middlebury2005" / "Art"
     left, right = (cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_GRAYSCALE) for name in ("view1", "view5"))
     doffs_px = -200 / 3
     rig = StereoRig.from_rectified(1246.7, 1246.7, 230 + doffs_px, 230, 185, 0.16, left.shape[::-1])
     given = [(left, right)]
-    order = check_eyes(given, match_pictures(given), lambda: [(right, left)], rig.doffs_px, True)
+    order = check_camera_order(given, match_image_pairs(given), lambda: [(right, left)], rig.doffs_px, True)
     assert order.level is Level.OK, order.value
 
 
@@ -107,4 +107,4 @@ def test_few_features_are_enough_where_they_fit(stereo_data: Path) -> None:
     left, right = (cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_GRAYSCALE) for name in ("view1", "view5"))
     assert check_raw_rows([(left, right)]) is None
     height, width = left.shape
-    assert check_rows(match_pictures([(left, right)]), None, width, height, 1246.7).level is Level.OK
+    assert check_rows(match_image_pairs([(left, right)]), None, width, height, 1246.7).level is Level.OK

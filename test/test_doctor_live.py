@@ -21,7 +21,7 @@ from stereo_depth_ros.core.errors import ConfigError, TopicError
 from stereo_depth_ros.diagnosis.doctor import diagnose
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 from stereo_depth_ros.messages.image import compressed_message
-from stereo_depth_ros.nodes.graph_survey import camera_topics, probe_graph
+from stereo_depth_ros.nodes.graph_survey import camera_topics, survey_graph
 
 pytestmark = pytest.mark.graph
 
@@ -68,26 +68,28 @@ def test_topics_of_a_namespace() -> None:
 
 def test_no_time_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"seconds = 0 is outside 0\.\.3600"):
-        probe_graph(LEFT, RIGHT, 0)
+        survey_graph(LEFT, RIGHT, 0)
 
 
 def test_names_that_cannot_be_are_refused() -> None:
-    with pytest.raises(TopicError, match="'left eye' cannot be a topic: topic name must not contain characters other"):
-        probe_graph(["left eye"], ["right"], 0.1)
+    with pytest.raises(
+        TopicError, match="'left camera' cannot be a topic: topic name must not contain characters other"
+    ):
+        survey_graph(["left camera"], ["right"], 0.1)
     with pytest.raises(TopicError, match="'a//b' cannot be a topic: topic name must not contain repeated"):
-        probe_graph(["left"], ["a//b"], 0.1)
+        survey_graph(["left"], ["a//b"], 0.1)
 
 
 def test_a_healthy_graph(camera: StereoCamera) -> None:
     with Graph() as graph, sending(graph, camera.pair):
-        set_up = probe_graph(LEFT, RIGHT, 1.0)
-    assert (set_up.left.image_topic, set_up.right.info_topic) == ("/left/image_raw", "/right/camera_info")
-    assert not set_up.rectified and not set_up.findings
-    assert len(set_up.left.infos) == 1, "equal camera infos are one"
-    assert len(set_up.left.stamps_ns) >= 8
-    assert 3 <= len(set_up.pairs) <= 6
-    assert all(pair.left.stamp_ns == pair.right.stamp_ns for pair in set_up.pairs)
-    found = by_check(diagnose(replace(set_up, pairs=set_up.pairs[:1])).findings)
+        setup = survey_graph(LEFT, RIGHT, 1.0)
+    assert (setup.left.image_topic, setup.right.info_topic) == ("/left/image_raw", "/right/camera_info")
+    assert not setup.rectified and not setup.findings
+    assert len(setup.left.infos) == 1, "equal camera infos are one"
+    assert len(setup.left.stamps_ns) >= 8
+    assert 3 <= len(setup.pairs) <= 6
+    assert all(pair.left.stamp_ns == pair.right.stamp_ns for pair in setup.pairs)
+    found = by_check(diagnose(replace(setup, pairs=setup.pairs[:1])).findings)
     best_effort = ("pairs", "left drops", "right drops")  # a busy machine may lose some
     assert max(finding.level for finding in found.values() if finding.check not in best_effort) is Level.OK
     assert found["baseline"].figures["baseline_m"] == pytest.approx(camera.rig.baseline_m)
@@ -101,8 +103,8 @@ def test_what_does_not_come_is_told(camera: StereoCamera) -> None:
 
     with Graph() as graph, sending(graph, left_eye):
         graph.advertise("right/image_raw", Image)  # is there, but does not send
-        set_up = probe_graph(LEFT, RIGHT, 0.6)
-    found = by_check(diagnose(set_up).findings)
+        setup = survey_graph(LEFT, RIGHT, 0.6)
+    found = by_check(diagnose(setup).findings)
     assert found["left camera info"].level is Level.OK
     assert found["right images"].level is Level.ERROR
     assert found["right images"].value == "nothing on /right/image_raw"
@@ -115,17 +117,17 @@ def test_compressed_images_in_other_namespaces(camera: StereoCamera) -> None:
     def compressed(stamp_ns: int) -> dict[str, Any]:
         made: dict[str, Any] = {f"rig/{topic}": message for topic, message in camera.infos(stamp_ns).items()}
         pair = camera.frames[0].pair
-        for eye, frame in (("left", pair.left), ("right", pair.right)):
+        for side, frame in (("left", pair.left), ("right", pair.right)):
             image = compressed_message(camera.types, frame.pixels, "mono8", "png", stamp_ns, frame.frame_id)
-            made[f"rig/{eye}/image_raw/compressed"] = image
+            made[f"rig/{side}/image_raw/compressed"] = image
         return made
 
     with Graph() as graph, sending(graph, compressed):
-        set_up = probe_graph(camera_topics("rig/left"), camera_topics("rig/right"), 0.6)
-    assert set_up.left.image_topic == "/rig/left/image_raw/compressed"
-    assert set_up.left.info_topic == "/rig/left/camera_info"
-    assert len(set_up.right.infos) == 1
-    np.testing.assert_array_equal(set_up.pairs[0].right.pixels, camera.frames[0].pair.right.pixels)
+        setup = survey_graph(camera_topics("rig/left"), camera_topics("rig/right"), 0.6)
+    assert setup.left.image_topic == "/rig/left/image_raw/compressed"
+    assert setup.left.info_topic == "/rig/left/camera_info"
+    assert len(setup.right.infos) == 1
+    np.testing.assert_array_equal(setup.pairs[0].right.pixels, camera.frames[0].pair.right.pixels)
 
 
 def test_images_that_cannot_be_decoded_are_told(camera: StereoCamera) -> None:
@@ -135,10 +137,10 @@ def test_images_that_cannot_be_decoded_are_told(camera: StereoCamera) -> None:
         return made
 
     with Graph() as graph, sending(graph, odd):
-        set_up = probe_graph(LEFT, RIGHT, 0.5)
-    assert not set_up.pairs
-    assert [finding.check for finding in set_up.findings] == ["images"], "the first error stands for all"
-    assert "encoding = 'magic' is not read" in set_up.findings[0].value
+        setup = survey_graph(LEFT, RIGHT, 0.5)
+    assert not setup.pairs
+    assert [finding.check for finding in setup.findings] == ["images"], "the first error stands for all"
+    assert "encoding = 'magic' is not read" in setup.findings[0].value
 
 
 def test_the_command_listens_and_names_the_images_that_are_there(

@@ -12,7 +12,7 @@ from stereo_depth_ros.matching.costs.birchfield_tomasi import OUTSIDE, birchfiel
 from stereo_depth_ros.matching.global_methods.energy import (
     StereoModel,
     energy,
-    neighbour_weights,
+    neighbor_weights,
     searched_columns,
     stereo_model,
 )
@@ -47,8 +47,8 @@ def test_energy_is_the_sum_over_pixels_and_edges() -> None:
 
 def test_weights_are_halved_across_edges_of_the_image() -> None:
     image = np.array([[100, 115, 131], [100, 99, 90]], np.uint8)
-    # Steps to the right: 15, 16 | 1, 9. Down: 0, 16, 41. An edge is 16 grey levels or more; 3 levels are 6 half ones.
-    np.testing.assert_array_equal(neighbour_weights(image, 3.0), [[[12, 6, 0], [12, 12, 0]], [[12, 6, 6], [0, 0, 0]]])
+    # Steps to the right: 15, 16 | 1, 9. Down: 0, 16, 41. An edge is 16 gray levels or more; 3 levels are 6 half ones.
+    np.testing.assert_array_equal(neighbor_weights(image, 3.0), [[[12, 6, 0], [12, 12, 0]], [[12, 6, 6], [0, 0, 0]]])
 
 
 @pytest.mark.parametrize(("min_disparity", "columns"), [(0, (0, 60)), (4, (4, 60)), (-20, (0, 60)), (-40, (0, 51))])

@@ -34,12 +34,14 @@ def test_essential_matrix_holds_in_camera_coordinates() -> None:
     left, right = camera_coordinates(SEEN.left_px, K_LEFT), camera_coordinates(SEEN.right_px, K_RIGHT)
     np.testing.assert_allclose(left, SEEN.points_m[:, :2] / SEEN.points_m[:, 2:], atol=1e-13)
     assert np.abs(np.einsum("ij,jk,ik->i", homogeneous(right), POSE.essential, homogeneous(left))).max() < 1e-14
-    np.testing.assert_array_equal(fundamental_from_essential(POSE.essential, np.eye(3), np.eye(3)), POSE.essential)
+    np.testing.assert_array_equal(
+        fundamental_from_essential(POSE.essential, np.identity(3), np.identity(3)), POSE.essential
+    )
 
 
 def test_epipoles_are_the_pictures_of_the_other_centre() -> None:
     left, right = epipoles(F_TRUE)
-    np.testing.assert_allclose(left[:2] / left[2], project(POSE.right_centre[None], K_LEFT)[0], rtol=1e-8)
+    np.testing.assert_allclose(left[:2] / left[2], project(POSE.right_center[None], K_LEFT)[0], rtol=1e-8)
     np.testing.assert_allclose(right[:2] / right[2], project(POSE.t[None], K_RIGHT)[0], rtol=1e-8)
     assert np.linalg.norm(left) == pytest.approx(1)
     scale = np.linalg.norm(F_TRUE)
@@ -49,7 +51,7 @@ def test_epipoles_are_the_pictures_of_the_other_centre() -> None:
 
 def test_epipoles_in_camera_coordinates() -> None:
     left, right = epipoles(POSE.essential)
-    assert np.linalg.norm(np.cross(left, POSE.right_centre)) < 1e-14
+    assert np.linalg.norm(np.cross(left, POSE.right_center)) < 1e-14
     assert np.linalg.norm(np.cross(right, POSE.t)) < 1e-14
 
 
@@ -93,7 +95,7 @@ def test_symmetric_distance_is_the_mean_of_both() -> None:
     in_left = np.abs((epipolar_lines(F_TRUE.T, moved) * homogeneous(SEEN.left_px)).sum(axis=1))
     expected = (0.7 + in_left) / 2
     np.testing.assert_allclose(symmetric_epipolar_distance(F_TRUE, SEEN.left_px, moved), expected, atol=1e-9)
-    assert np.ptp(in_left) > 0.01  # the eyes differ, so that the mean is no accident
+    assert np.ptp(in_left) > 0.01  # the cameras differ, so that the mean is no accident
 
 
 def test_sampson_distance_is_the_way_to_the_nearest_pair_that_fits() -> None:

@@ -79,7 +79,7 @@ def test_pose_against_opencv() -> None:
     left, right = rays(60, noise_px=0.4)
     E = equal_singular_values(eight_point(left, right))
     ours = pose_from_essential(E, left, right)
-    _, R, t, _ = cv2.recoverPose(E, left, right, np.eye(3))
+    _, R, t, _ = cv2.recoverPose(E, left, right, np.identity(3))
     np.testing.assert_allclose(ours.R, R, atol=1e-9)
     np.testing.assert_allclose(ours.t, t.ravel(), atol=1e-9)
 
@@ -141,7 +141,7 @@ def _mean_errors(count: int) -> tuple[float, float]:
 def test_intrinsics_of_other_cameras() -> None:
     seen = views(200, noise_px=0.2)
     elsewhere = K_LEFT + np.array([[0.0, 0, 600], [0, 0, -500], [0, 0, 0]])
-    with pytest.raises(CalibrationError, match="not the intrinsics of the pictures"):
+    with pytest.raises(CalibrationError, match="not the intrinsics of the images"):
         estimate_essential(seen.left_px, seen.right_px, elsewhere, K_RIGHT)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth evaluate`: tables, files, pictures, what is left out, exit codes."""
+"""`stereo-depth evaluate`: tables, files, images, what is left out, exit codes."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def rows_of(path: Path) -> list[dict[str, Any]]:
 def test_scenes_times_methods_as_table_json_csv_and_pictures(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "data" / "one")
     write_scene(tmp_path / "data" / "set" / "two", seed=2)
-    report, sheet, pictures = tmp_path / "r.json", tmp_path / "r.csv", tmp_path / "pictures"
-    files = ("--json", report, "--csv", sheet, "--pictures", pictures)
+    report, sheet, images = tmp_path / "r.json", tmp_path / "r.csv", tmp_path / "images"
+    files = ("--json", report, "--csv", sheet, "--images", images)
     code, out, err = run(tmp_path / "data", "--matcher", "bm", "--matcher", "sgbm", *SMALL, *files)
     assert (code, err) == (0, "")
     rows = rows_of(report)
@@ -77,10 +77,10 @@ def test_scenes_times_methods_as_table_json_csv_and_pictures(run: Run, tmp_path:
         lines = list(csv.DictReader(file))
     assert [float(line["bad_2_all"]) for line in lines] == [row["bad_2_all"] for row in rows]
     assert 0 < float(lines[0]["auc_bad_1_ratio"]) < 1 and "curve" not in lines[0]
-    assert sorted(path.name for path in pictures.iterdir()) == sorted(
+    assert sorted(path.name for path in images.iterdir()) == sorted(
         f"{s}_{m}{kind}.png" for s in ("one", "two") for m in ("bm", "sgbm") for kind in ("", "_confidence")
     )
-    assert cv2.imread(str(pictures / "one_bm.png")).shape[1] > 1000
+    assert cv2.imread(str(images / "one_bm.png")).shape[1] > 1000
 
 
 def test_range_that_is_given_is_kept_and_told(run: Run, tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_confidence_is_measured_and_drawn(run: Run, tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(evaluator, "create_matcher", lambda *how: Sure(create_matcher(*how)))
     write_scene(tmp_path / "one")
-    files = ("--json", tmp_path / "r.json", "--pictures", tmp_path / "p")
+    files = ("--json", tmp_path / "r.json", "--images", tmp_path / "p")
     code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, *files)
     assert code == 0
     (row,) = rows_of(tmp_path / "r.json")
@@ -147,10 +147,10 @@ def test_what_cannot_be_evaluated_is_left_out_and_told(run: Run, tmp_path: Path)
     assert len(told) == 4 and told[-1].startswith("error: 3 left out")
     assert told[0].startswith("warning: scaled left out: the truth's scale looks wrong: it is about 4 times")
     assert told[1].startswith("warning: small left out: sizes differ: left 170x96, right 170x96, truth 168x96")
-    assert told[2].startswith("warning: swapped left out: eyes look swapped")
+    assert told[2].startswith("warning: swapped left out: cameras look swapped")
     code, out, err = run(tmp_path / "swapped", "--matcher", "bm", *SMALL)
     assert (code, out) == (1, "")
-    assert err.startswith("error: nothing could be evaluated: swapped left out: eyes look swapped")
+    assert err.startswith("error: nothing could be evaluated: swapped left out: cameras look swapped")
     assert err.count("\n") == 1
 
 
@@ -182,7 +182,7 @@ def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> N
         assert "there is no folder" in error(tmp_path / "one", "--matcher", "bm", option, tmp_path / "no" / "r")
     assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--csv", tmp_path)
     (tmp_path / "file").write_text("")
-    assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--pictures", tmp_path / "file")
+    assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--images", tmp_path / "file")
 
 
 def test_usage(run: Run, tmp_path: Path) -> None:

@@ -44,10 +44,10 @@ def images(camera: StereoCamera) -> tuple[U8, U8]:
 def messages(camera: StereoCamera, images: tuple[U8, U8], stamp_ns: int = STAMP_NS, encoding: str = "mono8") -> Any:
     """Both camera infos and both rectified images, by topic."""
     found = camera.infos(stamp_ns)
-    for eye, pixels in zip(("left", "right"), images, strict=True):
+    for side, pixels in zip(("left", "right"), images, strict=True):
         shown = pixels if encoding == "mono8" else colored(pixels)
-        frame_id = f"{eye}_camera_optical_frame"
-        found[f"{eye}/image_rect"] = image_message(camera.types, shown, encoding, stamp_ns, frame_id)
+        frame_id = f"{side}_camera_optical_frame"
+        found[f"{side}/image_rect"] = image_message(camera.types, shown, encoding, stamp_ns, frame_id)
     return found
 
 
@@ -109,7 +109,7 @@ def test_points_are_the_features_at_sub_pixel_positions(
     distance = np.abs(features.left_xy[:, None] - left_xy).max(axis=2)
     nearest = distance.argmin(axis=0)
     assert 100 < cloud.width <= len(features)
-    # float32 metres: a few parts in 10^7 of some hundred pixels.
+    # float32 meters: a few parts in 10^7 of some hundred pixels.
     assert distance.min(axis=0).max() < 1e-3
     np.testing.assert_allclose(disparity_px, features.disparity_px[nearest], atol=1e-3)
     assert np.mean(left_xy % 1 > 0.05) > 0.8
@@ -129,12 +129,12 @@ def test_no_point_where_a_raw_camera_saw_nothing(
     """Raw principal points that lie left of the rectified ones: those cameras saw nothing of the first columns."""
     unseen = {"left": 150, "right": 140}
     sent = messages(camera, images)
-    for eye, columns in unseen.items():
-        model = getattr(camera.rig, eye)
+    for side, columns in unseen.items():
+        model = getattr(camera.rig, side)
         K = model.P[:, :3].copy()
         K[0, 2] -= columns
-        raw = replace(model, K=K, D=np.zeros(5), R=np.eye(3))
-        sent[f"{eye}/camera_info"] = camera_info_message(camera.types, raw, STAMP_NS)
+        raw = replace(model, K=K, D=np.zeros(5), R=np.identity(3))
+        sent[f"{side}/camera_info"] = camera_info_message(camera.types, raw, STAMP_NS)
     left_xy, disparity_px = projected(camera, cloud)
     half = MatchingConfig().correlation_window_size // 2
     pixels = np.rint([left_xy[:, 0], left_xy[:, 0] - disparity_px])
@@ -193,7 +193,7 @@ def test_bad_images_are_told_and_survived(camera: StereoCamera, images: tuple[U8
         graph.send(messages(camera, small))
         graph.wait_error("/left/image_rect: the image is 200x150, its camera info is for 400x300")
         graph.send(messages(camera, images[::-1], STAMP_NS + NS_PER_S))
-        graph.wait_error("eyes look swapped: .* exchange the image topics of left and right")
+        graph.wait_error("cameras look swapped: .* exchange the image topics of left and right")
         graph.send(messages(camera, images, STAMP_NS + 2 * NS_PER_S))
         graph.wait(lambda: received, "cloud after bad images")
         assert received[0].header.stamp.sec == (STAMP_NS + 2 * NS_PER_S) // NS_PER_S

@@ -28,11 +28,11 @@ def matcher(feature_type: str, **fields: Any) -> FeatureMatcher:
     return FeatureMatcher(MatchingConfig(**{"num_disparities": 32, "feature_type": feature_type, **fields}))
 
 
-def blobs(x: F64, y: F64, size: F64, grey: F64, height: int = HEIGHT, width: int = WIDTH) -> U8:
-    """Round Gaussian spots of a size and a signed grey value at sub-pixel positions."""
+def blobs(x: F64, y: F64, size: F64, gray: F64, height: int = HEIGHT, width: int = WIDTH) -> U8:
+    """Round Gaussian spots of a size and a signed gray value at sub-pixel positions."""
     image = np.full((height, width), 128.0)
     v, u = np.arange(height)[:, None], np.arange(width)
-    for at_x, at_y, sigma, peak in zip(x, y, size, grey, strict=True):
+    for at_x, at_y, sigma, peak in zip(x, y, size, gray, strict=True):
         image += peak * np.exp(-((v - at_y) ** 2) / (2 * sigma**2)) * np.exp(-((u - at_x) ** 2) / (2 * sigma**2))
     return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
 
@@ -41,9 +41,9 @@ def spotted_pair(upper_px: float, lower_px: float, seed: int = 4, row_shift: flo
     """Random spots with one disparity in the upper half and another in the lower half of the image."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-40, WIDTH + 40, 900), rng.uniform(0, HEIGHT, 900)
-    size, grey = rng.uniform(1.5, 4, 900), rng.uniform(30, 90, 900) * rng.choice([-1, 1], 900)
+    size, gray = rng.uniform(1.5, 4, 900), rng.uniform(30, 90, 900) * rng.choice([-1, 1], 900)
     disparity = np.where(y < HEIGHT / 2, upper_px, lower_px)
-    return blobs(x, y, size, grey), blobs(x - disparity, y + row_shift, size, grey)
+    return blobs(x, y, size, gray), blobs(x - disparity, y + row_shift, size, gray)
 
 
 def check_result(result: MatchResult, shape: tuple[int, int]) -> None:
@@ -83,12 +83,12 @@ def test_corners_of_a_drawn_scene(kind: str, upper_px: float, lower_px: float, l
 
 
 def test_positions_are_those_of_the_spots() -> None:
-    """SIFT finds the spots themselves; pixel centres taken wrongly would move all by 0.25 px in x and in y."""
+    """SIFT finds the spots themselves; pixel centers taken wrongly would move all by 0.25 px in x and in y."""
     rng = np.random.default_rng(1)
     grid = np.stack(np.meshgrid(np.arange(30, 220, 24), np.arange(25, 130, 22)), axis=-1).reshape(-1, 2)
     xy = grid + rng.uniform(-3, 3, grid.shape)
-    size, grey = rng.uniform(2, 5, len(xy)), rng.uniform(50, 110, len(xy)) * rng.choice([-1, 1], len(xy))
-    found = matcher("sift").find(*(blobs(xy[:, 0] - d, xy[:, 1], size, grey) for d in (0, 8.3)))
+    size, gray = rng.uniform(2, 5, len(xy)), rng.uniform(50, 110, len(xy)) * rng.choice([-1, 1], len(xy))
+    found = matcher("sift").find(*(blobs(xy[:, 0] - d, xy[:, 1], size, gray) for d in (0, 8.3)))
     distance = np.abs(found.left_xy[:, None] - xy).max(axis=2)
     spots = distance.min(axis=1) < 1
     assert np.count_nonzero(spots) > len(xy) // 2
@@ -125,7 +125,7 @@ def test_equal_images_match_at_0_with_full_score(kind: str) -> None:
 
 @pytest.mark.parametrize(("x0", "slope"), [(60.0, 0.5), (105.0, -0.4)])
 def test_lines_have_the_disparity_of_each_row(x0: float, slope: float) -> None:
-    """Two slants differ between the eyes, as where a line goes into the depth."""
+    """Two slants differ between the cameras, as where a line goes into the depth."""
     left = edge_image(90, 170, [(x0, slope, 60, 190)])
     right = edge_image(90, 170, [(x0 - 6, slope - 0.12, 60, 190)])
     result = matcher("lines").match(left, right)
@@ -286,7 +286,7 @@ def test_refused_parameters() -> None:
 def test_refused_images() -> None:
     good, features = np.zeros((60, 120), np.uint8), matcher("sift")
     for call in (features.match, features.find):
-        with pytest.raises(ImageError, match=r"right image is uint8 of shape \(60, 120, 3\).*convert it to grey"):
+        with pytest.raises(ImageError, match=r"right image is uint8 of shape \(60, 120, 3\).*convert it to gray"):
             call(good, np.zeros((60, 120, 3), np.uint8))
         with pytest.raises(ImageError, match=r"left image is \(60, 120\), right image is \(60, 121\)"):
             call(good, np.zeros((60, 121), np.uint8))

@@ -15,7 +15,7 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.geometry.field_of_view import field_of_view
 
 K = np.array([[300.0, 0, 290.0], [0, 320.0, 260.0], [0, 0, 1]])
-BARE = CameraModel(640, 500, "plumb_bob", K, np.zeros(5), np.eye(3), np.eye(3, 4))
+BARE = CameraModel(640, 500, "plumb_bob", K, np.zeros(5), np.identity(3), np.identity(4)[:3])
 
 
 def test_pinhole() -> None:

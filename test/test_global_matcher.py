@@ -16,7 +16,7 @@ from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.types import F32, U8, Reason
 from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.matching.global_methods.energy import I32, StereoModel, energy, stereo_model
-from stereo_depth_ros.matching.global_methods.global_matcher import lead
+from stereo_depth_ros.matching.global_methods.global_matcher import margin
 
 # Percent of all pixels wrong by more than 1 px, but for occluded ones and a border of 18 px.
 LIMITS = {
@@ -36,7 +36,7 @@ def method(request: pytest.FixtureRequest) -> str:
 
 
 def two_surfaces(far: int, near: int) -> tuple[U8, U8, F32]:
-    """A noise square in front of a noise wall, with other noise where one eye alone looks; and the disparities."""
+    """A noise square in front of a noise wall, with other noise where one camera alone looks; and the disparities."""
     rng = np.random.default_rng(11)
     height, width = SHAPE
     wall = rng.integers(0, 256, (height, width + 200)).astype(np.float64)
@@ -51,7 +51,7 @@ def two_surfaces(far: int, near: int) -> tuple[U8, U8, F32]:
 
 
 def occluded_strip(far: int, near: int) -> tuple[slice, slice]:
-    """The wall that the square hides from the right eye: what lies left of it, as wide as the difference."""
+    """The wall that the square hides from the right camera: what lies left of it, as wide as the difference."""
     return NEAR[0], slice(NEAR[1].start - (near - far), NEAR[1].start)
 
 
@@ -153,7 +153,7 @@ def test_disparities_beyond_16_bit_are_refused(method: str) -> None:
 def test_images_are_checked(method: str) -> None:
     matcher = create_matcher(method, num_disparities=32)
     image = np.zeros((40, 60), np.uint8)
-    with pytest.raises(ImageError, match="convert it to grey"):
+    with pytest.raises(ImageError, match="convert it to gray"):
         matcher.match(np.zeros((40, 60, 3), np.uint8), image)
     with pytest.raises(ImageError, match="both must have one size"):
         matcher.match(image, image[:, 1:])
@@ -168,9 +168,9 @@ def test_lead_compares_the_label_with_the_best_that_is_no_neighbour() -> None:
     # Own 1: others at least two away are 8, 24 and 90 (24 at most). Own 0: the best other is 3. Own 24: it is 1.
     for label, expected in ((2, 8 / 9), (3, 1.0), (4, 1 / 25), (5, 0.0)):
         labels = np.full((4, 5), label, np.int32)
-        np.testing.assert_allclose(lead(model, labels, 3), expected, rtol=1e-6)
+        np.testing.assert_allclose(margin(model, labels, 3), expected, rtol=1e-6)
     nothing = StereoModel(np.zeros_like(data), model.weights, 2, 24)
-    np.testing.assert_array_equal(lead(nothing, np.zeros((4, 5), np.int32), 3), np.float32(0.5))
+    np.testing.assert_array_equal(margin(nothing, np.zeros((4, 5), np.int32), 3), np.float32(0.5))
 
 
 def sparsification(wrong: np.ndarray, confidence: np.ndarray) -> float:
@@ -226,7 +226,7 @@ def test_energy_ends_below_that_of_local_and_scanline_methods(stereo_data: Path)
 def test_constants_also_hold_where_the_cameras_differ_in_brightness(
     method: str, limit: float, stereo_data: Path
 ) -> None:
-    # With grey values as they are, 8.2 and 8.6 % are wrong.
+    # With gray values as they are, 8.2 and 8.6 % are wrong.
     of = middlebury2001.part(middlebury2001.scene("Baby1", stereo_data), slice(100, 200))
     fields = {"num_disparities": of.num_disparities, "speckle_size": 0, "fill_holes": True}
     result = create_matcher(method, **fields).match(of.left, of.right)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hole filling of rows worked out by hand, and against a slow search for the neighbours."""
+"""Hole filling of rows worked out by hand, and against a slow search for the neighbors."""
 
 from __future__ import annotations
 

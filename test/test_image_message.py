@@ -110,7 +110,7 @@ def test_16_bit_scaling_of_every_value() -> None:
 
 
 def _planes(height: int, width: int) -> dict[str, Any]:
-    """Three colour planes linear in x and y, on which bilinear demosaicing is exact."""
+    """Three color planes linear in x and y, on which bilinear demosaicing is exact."""
     y, x = np.mgrid[:height, :width]
     return {"r": 20 + 5 * x + 3 * y, "g": 200 - 4 * x - 2 * y, "b": 60 + x + 7 * y}
 
@@ -122,15 +122,15 @@ def test_bayer_mosaic_gives_its_colours_back(pattern: str, bits: str, padding: i
     height, width = 9, 12
     planes = _planes(height, width)
     mosaic = np.empty((height, width), np.int64)
-    for i, colour in enumerate(pattern):
-        mosaic[i // 2 :: 2, i % 2 :: 2] = planes[colour][i // 2 :: 2, i % 2 :: 2]
+    for i, color in enumerate(pattern):
+        mosaic[i // 2 :: 2, i % 2 :: 2] = planes[color][i // 2 :: 2, i % 2 :: 2]
     depth, _, order = bits.partition(" ")
     stored = mosaic.astype("u1") if depth == "8" else (257 * mosaic).astype(">u2" if order == "big" else "<u2")
     message = _message(stored, f"bayer_{pattern}{depth}", width, height, padding=padding, bigendian=int(order == "big"))
     frame = decode_image(message)
     assert (frame.encoding, frame.pixels.shape) == ("bgr8", (height, width, 3))
     truth = np.stack([planes["b"], planes["g"], planes["r"]], axis=-1)
-    # The outermost pixels are copies of their neighbours.
+    # The outermost pixels are copies of their neighbors.
     np.testing.assert_array_equal(frame.pixels[1:-1, 1:-1], truth[1:-1, 1:-1])
 
 
@@ -271,7 +271,7 @@ def test_16_bit_png_is_rounded_to_8(channels: int) -> None:
 @pytest.mark.parametrize("format", ["jpeg", "bgr8; jpeg compressed bgr8", "rgb8; jpeg compressed bgr8"])
 def test_colour_jpeg_is_bgr(format: str) -> None:
     stored = np.empty((16, 24, 3), np.uint8)
-    stored[:] = (200, 120, 40)  # blue first; a flat image survives jpeg but for the rounding of its colour space
+    stored[:] = (200, 120, 40)  # blue first; a flat image survives jpeg but for the rounding of its color space
     frame = decode_compressed(_compressed(_encoded(stored, ".jpg"), format))
     np.testing.assert_allclose(frame.pixels, stored, atol=3)
     assert frame.encoding == "bgr8"
@@ -281,15 +281,15 @@ def test_grey_jpeg_stays_grey() -> None:
     y, x = np.mgrid[:16, :24]
     stored = (40 + 3 * x + 5 * y).astype(np.uint8)
     frame = decode_compressed(_compressed(_encoded(stored, ".jpg"), "mono8; jpeg compressed "))
-    np.testing.assert_allclose(frame.pixels, stored, atol=4)  # quantisation at OpenCV's quality 95
+    np.testing.assert_allclose(frame.pixels, stored, atol=4)  # quantization at OpenCV's quality 95
     assert frame.encoding == "mono8"
 
 
 def test_compressed_bayer_mosaic_is_not_taken_for_grey() -> None:
     planes = _planes(9, 12)
     mosaic = np.empty((9, 12), np.uint8)
-    for i, colour in enumerate("gbrg"):
-        mosaic[i // 2 :: 2, i % 2 :: 2] = planes[colour][i // 2 :: 2, i % 2 :: 2]
+    for i, color in enumerate("gbrg"):
+        mosaic[i // 2 :: 2, i % 2 :: 2] = planes[color][i // 2 :: 2, i % 2 :: 2]
     frame = decode_compressed(_compressed(_encoded(mosaic, ".png"), "bayer_gbrg8; png compressed "))
     assert frame.encoding == "bgr8"
     truth = np.stack([planes["b"], planes["g"], planes["r"]], axis=-1)
@@ -368,12 +368,12 @@ def test_live_and_offline_images_have_equal_bytes() -> None:
 
 
 def test_depth_payloads_are_little_endian(types: Any) -> None:
-    metres = image_message(types, np.array([[1.5], [np.nan]], np.float32), "32FC1", 0, "l")
-    assert bytes(metres.data) == b"\x00\x00\xc0\x3f\x00\x00\xc0\x7f"
-    assert (metres.height, metres.width, metres.step) == (2, 1, 4)
-    millimetres = image_message(types, np.array([[0x0102, 3, 0xFFFE]], np.uint16), "16UC1", 0, "l")
-    assert bytes(millimetres.data) == b"\x02\x01\x03\x00\xfe\xff"
-    assert (millimetres.height, millimetres.width, millimetres.step) == (1, 3, 6)
+    meters = image_message(types, np.array([[1.5], [np.nan]], np.float32), "32FC1", 0, "l")
+    assert bytes(meters.data) == b"\x00\x00\xc0\x3f\x00\x00\xc0\x7f"
+    assert (meters.height, meters.width, meters.step) == (2, 1, 4)
+    millimeters = image_message(types, np.array([[0x0102, 3, 0xFFFE]], np.uint16), "16UC1", 0, "l")
+    assert bytes(millimeters.data) == b"\x02\x01\x03\x00\xfe\xff"
+    assert (millimeters.height, millimeters.width, millimeters.step) == (1, 3, 6)
 
 
 def test_strided_pixels_are_written_without_their_gaps(types: Any) -> None:
@@ -464,7 +464,7 @@ def test_jpeg_quality_costs_bytes_and_buys_accuracy(types: Any) -> None:
         errors.append(np.abs(decode(message).pixels.astype(int) - pixels).mean())
     assert sizes[0] < sizes[1]
     assert errors[1] < errors[0] / 2
-    assert errors[1] < 2.0  # grey levels; the quantiser steps at quality 90 are 2 to 24
+    assert errors[1] < 2.0  # gray levels; the quantizer steps at quality 90 are 2 to 24
 
 
 @pytest.mark.parametrize(
@@ -488,7 +488,7 @@ def test_depth_is_not_compressed() -> None:
         compressed_message(RosbagsTypes(), pixels, "16UC1", "png", 0, "l")
 
 
-# -------------------------------------------------------------------------------------------------------------- grey
+# -------------------------------------------------------------------------------------------------------------- gray
 
 
 def test_grey_of_grey_is_the_frame_itself() -> None:

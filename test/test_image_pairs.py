@@ -57,7 +57,7 @@ def test_names_of_a_pair(tmp_path: Path, left: str, right: str) -> None:
     ],
 )
 def test_names_that_make_no_pair(tmp_path: Path, left: str, right: str) -> None:
-    with pytest.raises(BagError, match="no left picture has the number of a right one, such as"):
+    with pytest.raises(BagError, match="no left image has the number of a right one, such as"):
         find_image_pairs(touch(tmp_path, left, right))
 
 
@@ -72,8 +72,8 @@ def test_numbers_are_compared_as_numbers_and_order_the_pairs(tmp_path: Path) -> 
     ]
     assert pairs.left_out == [tmp_path / "left1.png", tmp_path / "right100.png"]
     assert pairs.warnings == [
-        f"{tmp_path / 'left1.png'} has no right picture beside it: it is left out",
-        f"{tmp_path / 'right100.png'} has no left picture beside it: it is left out",
+        f"{tmp_path / 'left1.png'} has no right image beside it: it is left out",
+        f"{tmp_path / 'right100.png'} has no left image beside it: it is left out",
     ]
 
 
@@ -90,14 +90,14 @@ def test_two_files_of_one_frame_are_refused(tmp_path: Path, one: str, other: str
     with pytest.raises(BagError) as error:
         find_image_pairs(tmp_path)
     assert one in str(error.value) and other in str(error.value)
-    assert "are the left picture of one pair: remove one or rename it" in str(error.value)
+    assert "are the left image of one pair: remove one or rename it" in str(error.value)
 
 
 def test_equal_names_go_before_digits_for_cameras(tmp_path: Path) -> None:
     touch(tmp_path, "left_cam0_1.png", "left_cam1_1.png", "right_cam1_1.png")
     assert found(tmp_path) == [("left_cam1_1.png", "right_cam1_1.png")]
     (tmp_path / "right_cam1_1.png").rename(tmp_path / "right_cam2_1.png")
-    with pytest.raises(BagError, match="no left picture has the number of a right one"):
+    with pytest.raises(BagError, match="no left image has the number of a right one"):
         find_image_pairs(tmp_path)
 
 
@@ -127,5 +127,5 @@ def test_a_name_with_both_sides_is_told(tmp_path: Path) -> None:
 def test_patterns(tmp_path: Path) -> None:
     touch(tmp_path, "a/x1.png", "a/x2.png", "b/y02.png", "b/y01.png", "b/z1.png", "left1.png", "right1.png")
     assert found(tmp_path, "a/x*.png", "b/y*.png") == [("a/x1.png", "b/y01.png"), ("a/x2.png", "b/y02.png")]
-    with pytest.raises(BagError, match=r"1 pictures as left1\.png and none of the right eye"):
+    with pytest.raises(BagError, match=r"1 images as left1\.png and none of the right camera"):
         find_image_pairs(tmp_path, "left*", "nothing*")

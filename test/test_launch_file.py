@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import setuptools
 
-from stereo_depth_ros.config import HealthConfig, MatchingConfig, PipelineConfig, parameter_infos
+from stereo_depth_ros.config import CalibrationMonitorConfig, MatchingConfig, PipelineConfig, parameter_infos
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -126,7 +126,10 @@ def test_parameters_are_those_of_the_stages_with_their_types(entities: list[Any]
         "point_cloud_node": {**stages["pairing"], **stages["cloud"]},
         "depth_node": {**stages["pairing"], **stages["depth"]},
         "stereo_depth_node": {name: kind for stage in stages.values() for name, kind in stage.items()},
-        "health_node": {**stages["pairing"], **{info.name: info.type for info in parameter_infos(HealthConfig)}},
+        "health_node": {
+            **stages["pairing"],
+            **{info.name: info.type for info in parameter_infos(CalibrationMonitorConfig)},
+        },
     }
     for executable, node in nodes_of(entities).items():
         (parameters,) = node.kwargs["parameters"]

@@ -18,7 +18,7 @@ OVERSAMPLING = 8
 
 
 def edge_image(height: int, width: int, edges: list[tuple[float, float, int, int]]) -> U8:
-    """Bands of rows, one for each edge x = x0 + slope * y, with one grey value on its left and one on its right."""
+    """Bands of rows, one for each edge x = x0 + slope * y, with one gray value on its left and one on its right."""
     y, x = (np.indices((height * OVERSAMPLING, width * OVERSAMPLING)) + 0.5) / OVERSAMPLING - 0.5
     band = np.minimum((y + 0.5) * len(edges) / height, len(edges) - 1e-6).astype(int)
     x0, slope, left, right = np.array(edges).T[:, band]
@@ -38,7 +38,7 @@ def test_a_drawn_edge_is_found(x0: float, slope: float, left: int, right: int) -
     found = detect_segments(edge_image(90, 170, [(x0, slope, left, right)]))
     assert len(found) == 1
     rows = np.array([10.0, 45.0, 80.0])
-    # The fit to an image of grey values; pixel centres taken wrongly would be 0.125 px in x and in y.
+    # The fit to an image of gray values; pixel centers taken wrongly would be 0.125 px in x and in y.
     np.testing.assert_allclose([found.columns(row)[0] for row in rows], x0 + slope * rows, atol=0.06)
     assert found.orientation[0] == pytest.approx(math.atan2(1, slope), abs=math.radians(0.5))
     # It stops a pixel or two before the border of the image.

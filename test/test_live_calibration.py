@@ -15,8 +15,8 @@ from stereo_depth_ros.calibration.boards import create_board
 from stereo_depth_ros.calibration.live_calibration import GOOD_VIEWS, LiveCalibration, Look
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import U8
-from stereo_depth_ros.datasets.stereo_images import open_pictures
-from stereo_depth_ros.plots.operator_overlay import live_picture
+from stereo_depth_ros.datasets.stereo_images import open_stereo_images
+from stereo_depth_ros.plots.operator_overlay import operator_overlay
 
 BOARD = create_board("chessboard", (7, 5), SQUARE_M)
 EMPTY = np.full(SIZE[::-1], 80, np.uint8)
@@ -51,8 +51,8 @@ def test_what_is_not_taken_is_said(photographs: list[tuple[U8, U8]]) -> None:
     assert collected.look("d", left, right) is Look.TAKEN
     assert collected.look("e", left, right) is Look.KNOWN
     assert len(collected.views) == 1
-    assert "right eye" in Look.LEFT_ONLY.value
-    assert "left eye" in Look.RIGHT_ONLY.value
+    assert "right camera" in Look.LEFT_ONLY.value
+    assert "left camera" in Look.RIGHT_ONLY.value
 
 
 def test_a_board_has_to_be_held_still(photographs: list[tuple[U8, U8]]) -> None:
@@ -63,10 +63,10 @@ def test_a_board_has_to_be_held_still(photographs: list[tuple[U8, U8]]) -> None:
     ]
 
 
-@pytest.mark.parametrize("eye", [0, 1])
-def test_blurred_pictures_are_not_taken(photographs: list[tuple[U8, U8]], eye: int) -> None:
+@pytest.mark.parametrize("side", [0, 1])
+def test_blurred_pictures_are_not_taken(photographs: list[tuple[U8, U8]], side: int) -> None:
     pair = list(photographs[1])
-    pair[eye] = np.asarray(cv2.GaussianBlur(pair[eye], (0, 0), 3.0), np.uint8)
+    pair[side] = np.asarray(cv2.GaussianBlur(pair[side], (0, 0), 3.0), np.uint8)
     collected = live()
     assert collected.look("a", pair[0], pair[1]) is Look.BLURRED
     assert not collected.views
@@ -75,7 +75,7 @@ def test_blurred_pictures_are_not_taken(photographs: list[tuple[U8, U8]], eye: i
 
 def test_advice_names_what_is_missing(photographs: list[tuple[U8, U8]]) -> None:
     collected = live()
-    assert collected.advice[0] == "show the board to both eyes"
+    assert collected.advice[0] == "show the board to both cameras"
     assert collected.advice[-1] == f"show {GOOD_VIEWS} more views of {GOOD_VIEWS}"
     collected.look("a", *photographs[0])
     assert any("move the board to the" in text for text in collected.advice)
@@ -93,20 +93,22 @@ def test_too_few_views_are_not_solved(photographs: list[tuple[U8, U8]]) -> None:
 def test_pictures_of_another_size(photographs: list[tuple[U8, U8]]) -> None:
     collected, (left, right) = live(), photographs[0]
     collected.look("a", left, right)
-    with pytest.raises(CalibrationError, match=r"the right picture is 400x299, those before were 400x300"):
+    with pytest.raises(CalibrationError, match=r"the right image is 400x299, those before were 400x300"):
         collected.look("b", left, right[:-1])
 
 
 def test_picture_shows_views_and_advice(photographs: list[tuple[U8, U8]]) -> None:
     collected, (left, right) = live(), photographs[0]
-    blank = live_picture(left, [], None, collected.coverage, "", collected.advice)
+    blank = operator_overlay(left, [], None, collected.coverage, "", collected.advice)
     collected.look("a", left, right)
     assert collected.seen is not None
     taken = [view.left.image_px for view in collected.views]
-    picture = live_picture(left, taken, collected.seen.image_px, collected.coverage, Look.TAKEN.value, collected.advice)
-    assert picture.shape[1] == left.shape[1]
-    assert picture.shape[0] > left.shape[0] + 100
-    shown = (picture[: left.shape[0]] != blank[: left.shape[0]]).any(axis=2)
+    image = operator_overlay(
+        left, taken, collected.seen.image_px, collected.coverage, Look.TAKEN.value, collected.advice
+    )
+    assert image.shape[1] == left.shape[1]
+    assert image.shape[0] > left.shape[0] + 100
+    shown = (image[: left.shape[0]] != blank[: left.shape[0]]).any(axis=2)
     x, y = collected.seen.image_px.mean(axis=0)
     rows, columns = np.nonzero(shown)
     assert shown.sum() > 200
@@ -117,7 +119,7 @@ def test_picture_shows_views_and_advice(photographs: list[tuple[U8, U8]]) -> Non
 def test_the_chessboards_of_opencv(stereo_data: Path) -> None:
     """Shown one after the other: of 13 views those that differ are taken, and give the calibration of all."""
     collected = LiveCalibration(create_board("chessboard", (9, 6), 0.025), "plumb_bob", 0.0)
-    for pair in open_pictures(stereo_data / "opencv_samples" / "chessboard_stereo"):
+    for pair in open_stereo_images(stereo_data / "opencv_samples" / "chessboard_stereo"):
         collected.look(pair.name, pair.left, pair.right)
     assert 8 <= len(collected.views) <= 13
     result = collected.calibrate()

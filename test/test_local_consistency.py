@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Confidence from neighbours that agree, against counting one by one, and what confidences are worth."""
+"""Confidence from neighbors that agree, against counting one by one, and what confidences are worth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stereo_depth_ros.core import bands as parallel
 from stereo_depth_ros.core.types import F32
 from stereo_depth_ros.evaluation.sparsification import sparsification
 from stereo_depth_ros.matching import MATCHERS, create_matcher
-from stereo_depth_ros.matching.local_consistency import agreement
+from stereo_depth_ros.matching.local_consistency import local_consistency
 
 
 def counted(disparity_px: F32) -> F32:
@@ -39,9 +39,9 @@ def test_agreement_is_the_share_of_like_neighbours(shape: tuple[int, int], monke
     disparity_px[rng.random(shape) < 0.2] = np.nan
     for cores in (1, 3):
         monkeypatch.setattr(parallel, "core_count", lambda cores=cores: cores)
-        np.testing.assert_allclose(agreement(disparity_px), counted(disparity_px), atol=1e-6)
-    lead = rng.random(shape, np.float32)
-    np.testing.assert_allclose(agreement(disparity_px, lead), counted(disparity_px) * lead, atol=1e-6)
+        np.testing.assert_allclose(local_consistency(disparity_px), counted(disparity_px), atol=1e-6)
+    margin = rng.random(shape, np.float32)
+    np.testing.assert_allclose(local_consistency(disparity_px, margin), counted(disparity_px) * margin, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["bm", "sgbm", "window", "adaptive_window", "diffusion"])
@@ -53,7 +53,7 @@ def test_it_is_the_confidence_of_methods_without_another(name: str) -> None:
         left, right
     )
     assert result.confidence is not None
-    np.testing.assert_array_equal(result.confidence, agreement(result.disparity_px))
+    np.testing.assert_array_equal(result.confidence, local_consistency(result.disparity_px))
     assert not result.confidence[result.reasons != 0].any()
     assert result.confidence is result.confidence, "computed once"
 

@@ -64,9 +64,9 @@ def opencv_sgbm(config: MatchingConfig) -> cv2.StereoSGBM:
     )
 
 
-def in_pixels(fixed: Any, config: MatchingConfig) -> np.ndarray:
+def in_pixels(disparity_x16: Any, config: MatchingConfig) -> np.ndarray:
     """OpenCV's 16-bit disparities as float32 with NaN."""
-    return np.where(fixed == (config.min_disparity - 1) * 16, np.nan, fixed / 16).astype(np.float32)
+    return np.where(disparity_x16 == (config.min_disparity - 1) * 16, np.nan, disparity_x16 / 16).astype(np.float32)
 
 
 def check_result(result: MatchResult, shape: tuple[int, int]) -> None:
@@ -331,7 +331,7 @@ def test_smallest_image_works_and_smaller_is_refused(name: str, min_disparity: i
 def test_wrong_images_are_refused(name: str) -> None:
     matcher = create_matcher(name)
     good = np.zeros((60, 120), np.uint8)
-    with pytest.raises(ImageError, match=r"left image is uint16 of shape \(60, 120\).*grey"):
+    with pytest.raises(ImageError, match=r"left image is uint16 of shape \(60, 120\).*gray"):
         matcher.match(good.astype(np.uint16), good)  # type: ignore[arg-type]
     with pytest.raises(ImageError, match=r"right image is uint8 of shape \(60, 120, 3\)"):
         matcher.match(good, np.zeros((60, 120, 3), np.uint8))

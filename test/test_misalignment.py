@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the right camera has moved: points seen by one that has moved by known amounts, and real pictures turned."""
+"""How the right camera has moved: points seen by one that has moved by known amounts, and real images turned."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_without_noise_it_is_exact(w_deg: list[float], scale: float) -> None:
     found = estimate(np.radians(w_deg), scale, frames=3, noise_px=0)
     np.testing.assert_allclose(found.rotation_deg, w_deg, atol=1e-5)
     assert found.scale == pytest.approx(scale, abs=1e-7)
-    assert found.rest_px < 1e-4
+    assert found.residual_px < 1e-4
 
 
 def test_what_is_reported_of_the_rows() -> None:
@@ -74,8 +74,8 @@ def test_what_is_reported_of_the_rows() -> None:
     assert found.row_median_px == pytest.approx(np.median(np.abs(errors)))
     assert found.row_rms_px == pytest.approx(np.sqrt(np.mean(errors**2)))
     assert (found.matches, found.frames) == (1200, 4)
-    # Of both pictures' noise the rows keep the vertical part
-    assert found.rest_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+    # Of both images' noise the rows keep the vertical part
+    assert found.residual_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
 
 
 def test_errors_fall_as_the_root_of_the_number() -> None:
@@ -201,8 +201,8 @@ def raw_rig() -> StereoRig:
 
 def rectified(points_px: F64, rig: StereoRig) -> F64:
     """Raw points of the right camera, float64 (N, 2), rectified."""
-    eye = rig.right
-    moved = cv2.undistortPoints(points_px[:, None], eye.K, eye.D, None, eye.R, eye.P[:, :3])
+    side = rig.right
+    moved = cv2.undistortPoints(points_px[:, None], side.K, side.D, None, side.R, side.P[:, :3])
     return np.asarray(moved[:, 0], np.float64)
 
 
@@ -215,10 +215,10 @@ class Turned:
 
 
 def turned(rig: StereoRig, w: F64) -> Turned:
-    eye, random = rig.right, np.random.default_rng(2)
+    side, random = rig.right, np.random.default_rng(2)
     true_px = random.uniform((60, 40), (580, 380), (80, 2))
-    rays = np.column_stack((true_px, np.ones(80))) @ np.linalg.inv(eye.P[:, :3]).T @ cv2.Rodrigues(w)[0].T @ eye.R
-    raw = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), eye.K, eye.D)[0][:, 0]
+    rays = np.column_stack((true_px, np.ones(80))) @ np.linalg.inv(side.P[:, :3]).T @ cv2.Rodrigues(w)[0].T @ side.R
+    raw = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), side.K, side.D)[0][:, 0]
     return Turned(np.asarray(raw, np.float64), true_px)
 
 
@@ -269,7 +269,7 @@ class Street:
     healthy: Misalignment
 
     def turned(self, axis: int, degrees: float) -> list[tuple[U8, U8]]:
-        """The second half with the right pictures turned."""
+        """The second half with the right images turned."""
         w, K = np.zeros(3), self.rig.right.P[:, :3]
         w[axis] = np.radians(degrees)
         H = K @ cv2.Rodrigues(w)[0] @ np.linalg.inv(K)
@@ -292,7 +292,7 @@ def follow(estimator: MisalignmentEstimator, pairs: list[tuple[U8, U8]]) -> list
 
 
 def density_and_rows(rig: StereoRig, pairs: list[tuple[U8, U8]]) -> tuple[float, float]:
-    """Share of pixels with a disparity, and median row error, px, of pairs whose right pictures the rig rectifies."""
+    """Share of pixels with a disparity, and median row error, px, of pairs whose right images the rig rectifies."""
     rectifier, matcher = Rectifier(rig), create_matcher("sgm", MatchingConfig(num_disparities=128))
     densities, errors = [], []
     for left, right in pairs[::3]:

@@ -263,9 +263,9 @@ def test_every_node_refuses_at_start(
 )
 def test_equal_image_topics_are_refused(node_type: Any, image: str) -> None:
     with pytest.raises(
-        TopicError, match=f"left/{image} and right/{image} are both /eye: remap them to different topics"
+        TopicError, match=f"left/{image} and right/{image} are both /camera: remap them to different topics"
     ):
-        Graph(node_type, remaps={f"left/{image}": "/eye", f"right/{image}": "/eye"})
+        Graph(node_type, remaps={f"left/{image}": "/camera", f"right/{image}": "/camera"})
 
 
 def test_parameters_of_other_stages_are_accepted() -> None:

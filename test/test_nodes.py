@@ -64,7 +64,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def cloud_values(message: PointCloud2, name: str, dtype: str = "<f4") -> Any:
-    """One field of an organised cloud, (H, W)."""
+    """One field of an organized cloud, (H, W)."""
     offset = next(field.offset for field in message.fields if field.name == name)
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, message.point_step)
     return np.ascontiguousarray(rows[:, :, offset : offset + 4]).view(dtype)[:, :, 0]
@@ -72,7 +72,7 @@ def cloud_values(message: PointCloud2, name: str, dtype: str = "<f4") -> Any:
 
 @pytest.fixture(scope="module")
 def fused(camera: StereoCamera) -> dict[str, Any]:
-    """Every output of the fused node for one grey pair."""
+    """Every output of the fused node for one gray pair."""
     with Graph(StereoDepthNode, parameters=PARAMETERS) as graph:
         return one_pair(graph, camera.pair(STAMP_NS), OUTPUTS)
 
@@ -131,7 +131,7 @@ def test_camera_info_of_the_depth_is_rectified(fused: dict[str, Any], camera: St
     info, P = fused["depth/camera_info"], camera.rig.left.P
     np.testing.assert_allclose(info.p, P.ravel())
     np.testing.assert_allclose(info.k, P[:, :3].ravel())
-    np.testing.assert_allclose(info.r, np.eye(3).ravel())
+    np.testing.assert_allclose(info.r, np.identity(3).ravel())
     assert list(info.d) == [0.0] * 5
 
 
@@ -167,7 +167,7 @@ def test_depth_in_millimetres(fused: dict[str, Any], camera: StereoCamera) -> No
     depth_m, depth_mm = image_pixels(fused["depth/image_rect"]), image_pixels(message)
     expected = np.nan_to_num(np.where(depth_m < 65.5355, depth_m, 0) * 1000.0)
     assert depth_mm.max() > 1000
-    np.testing.assert_allclose(depth_mm, expected, atol=0.501)  # half a millimetre of rounding
+    np.testing.assert_allclose(depth_mm, expected, atol=0.501)  # half a millimeter of rounding
 
 
 def test_separate_nodes_give_the_bytes_of_the_fused_node(fused: dict[str, Any], camera: StereoCamera) -> None:
@@ -181,18 +181,18 @@ def test_separate_nodes_give_the_bytes_of_the_fused_node(fused: dict[str, Any], 
 
 
 def test_rectify_node_publishes_both_eyes_in_gray_and_color(camera: StereoCamera) -> None:
-    topics = [f"{eye}/{image}" for eye in ("left", "right") for image in ("image_rect", "image_rect_color")]
+    topics = [f"{side}/{image}" for side in ("left", "right") for image in ("image_rect", "image_rect_color")]
     with Graph(RectifyNode) as graph:
         received = one_pair(graph, camera.pair(STAMP_NS, encoding="rgb8"), dict.fromkeys(topics, Image))
     rectifier, pair = Rectifier(camera.rig), camera.frames[0].pair
-    for eye, rectify, frame in (
+    for side, rectify, frame in (
         ("left", rectifier.rectify_left, pair.left),
         ("right", rectifier.rectify_right, pair.right),
     ):
-        color = received[f"{eye}/image_rect_color"]
+        color = received[f"{side}/image_rect_color"]
         assert (color.encoding, color.header.frame_id, stamp_ns(color)) == ("rgb8", frame.frame_id, STAMP_NS)
         np.testing.assert_array_equal(image_pixels(color), rectify(colored(frame.pixels)))
-        assert received[f"{eye}/image_rect"].encoding == "mono8"
+        assert received[f"{side}/image_rect"].encoding == "mono8"
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_point_cloud_without_color_needs_no_image(fused: dict[str, Any], camera:
         cloud = one_pair(graph, messages, {"points2": PointCloud2})["points2"]
         assert graph.subscriptions("left/image_rect_color") == [0]
         assert graph.set_parameter("use_color", True, "point_cloud_node").successful
-        graph.wait(lambda: graph.subscriptions("left/image_rect_color") == [1], "subscription of the colour image")
+        graph.wait(lambda: graph.subscriptions("left/image_rect_color") == [1], "subscription of the color image")
     assert ([field.name for field in cloud.fields], cloud.point_step) == (["x", "y", "z"], 16)
     np.testing.assert_array_equal(cloud_values(cloud, "z"), image_pixels(fused["depth/image_rect"]))
 
@@ -258,7 +258,7 @@ def test_approximate_sync_pairs_within_its_tolerance(camera: StereoCamera) -> No
             graph.send({**camera.images(time_ns), "right/image_raw": late["right/image_raw"]})
         graph.wait(lambda: len(received) == 4, "four disparities")
         assert [stamp_ns(message) - STAMP_NS for message in received] == [0, 200 * ms, 300 * ms, 400 * ms]
-        assert [graph.counter(f"unpaired {eye}/image_raw") for eye in ("left", "right")] == [1, 1]
+        assert [graph.counter(f"unpaired {side}/image_raw") for side in ("left", "right")] == [1, 1]
 
 
 def test_exact_sync_does_not_pair_a_nanosecond_apart(camera: StereoCamera) -> None:
@@ -289,12 +289,12 @@ def test_compressed_images_give_the_disparities_of_raw_ones(camera: StereoCamera
 
 
 def test_namespace_and_remapping(fused: dict[str, Any], camera: StereoCamera) -> None:
-    remaps = {"__ns": "/robot", "__node": "eyes", "left/image_raw": "/cameras/left", "points2": "cloud"}
+    remaps = {"__ns": "/robot", "__node": "sides", "left/image_raw": "/cameras/left", "points2": "cloud"}
     messages = {f"/robot/{topic}": message for topic, message in camera.pair(STAMP_NS).items()}
     messages["/cameras/left"] = messages.pop("/robot/left/image_raw")
     with Graph(StereoDepthNode, parameters=PARAMETERS, remaps=remaps) as graph:
         cloud = one_pair(graph, messages, {"/robot/cloud": PointCloud2})["/robot/cloud"]
-        assert graph.status().name == "/robot/eyes"
+        assert graph.status().name == "/robot/cameras"
     assert cloud.data == fused["points2"].data
 
 

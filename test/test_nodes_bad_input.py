@@ -44,7 +44,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def wait_for_pairs(graph: Graph, count: int) -> None:
-    counters = graph.nodes[0].health.counters
+    counters = graph.nodes[0].diagnostics.counters
     graph.wait(lambda: counters["paired"] == count, f"{count} pairs")
 
 
@@ -155,9 +155,10 @@ IMAGE_CASES = (
         "CalibrationError",
     ),
     Case(
-        "image with the frame of the other eye",
+        "image with the frame of the other camera",
         swap_frames,
-        "/left/image_raw: frame_id is 'right_camera_optical_frame', the frame of the other eye, .*: eyes are swapped",
+        "/left/image_raw: frame_id is 'right_camera_optical_frame', the frame of the other camera, .*: "
+        "cameras are swapped",
         "CalibrationError",
     ),
 )
@@ -185,9 +186,9 @@ INFO_CASES = (
         "CalibrationError",
     ),
     Case(
-        "baseline in millimetres",
+        "baseline in millimeters",
         set_matrix((RIGHT_INFO,), "p", scale_baseline(1000.0)),
-        r"baseline 120\.054 m is outside 0\.001\.\.10 m: units are metres",
+        r"baseline 120\.054 m is outside 0\.001\.\.10 m: units are meters",
         "CalibrationError",
     ),
     Case(
@@ -209,7 +210,7 @@ INFO_CASES = (
         "CalibrationError",
     ),
     Case(
-        "eyes crossed, camera infos too",
+        "cameras crossed, camera infos too",
         swap_topics,
         "it is 0 for the left camera, the reference: left and right are probably swapped, exchange the topics",
         "CalibrationError",
@@ -265,7 +266,9 @@ def test_swapped_pictures_at_the_start_are_told_and_survived(node_type: Any, cam
                 spoil(messages)
             graph.send({topic.replace("image_raw", image): message for topic, message in messages.items()})
         graph.wait(lambda: received, "disparity of the good pair")
-        graph.wait_error("eyes look swapped: .* % of the pixels match .*: exchange the image topics of left and right")
+        graph.wait_error(
+            "cameras look swapped: .* % of the pixels match .*: exchange the image topics of left and right"
+        )
         assert [stamp_ns(message) for message in received] == [NEXT_NS]
         assert graph.counter("ImageError") == 1
 
@@ -394,7 +397,7 @@ def stage_messages(camera: StereoCamera, disparity: DisparityImage, time_ns: int
         min_disparity=disparity.min_disparity,
         max_disparity=disparity.max_disparity,
     )
-    rectified = {f"{eye}/image_rect": camera.images(time_ns)[f"{eye}/image_raw"] for eye in ("left", "right")}
+    rectified = {f"{side}/image_rect": camera.images(time_ns)[f"{side}/image_raw"] for side in ("left", "right")}
     color = {"left/image_rect_color": camera.images(time_ns)[LEFT]}
     return {**camera.infos(time_ns), **images, **rectified, **color, "disparity": message}
 
@@ -427,7 +430,7 @@ def test_bad_input_of_one_stage(case: StageCase, camera: StereoCamera, disparity
 
 
 def stream(graph: Graph, camera: StereoCamera, left_ns: list[int], right_ns: list[int]) -> None:
-    """Sends images of these stamps, eye by eye in turn."""
+    """Sends images of these stamps, camera by camera in turn."""
     for i in range(max(len(left_ns), len(right_ns))):
         for topic, stamps in ((LEFT, left_ns), (RIGHT, right_ns)):
             if i < len(stamps):
@@ -515,7 +518,7 @@ def test_silent_eye_is_named(
         assert len(graph.errors(".")) == 1, "the other topics are not silent"
         assert graph.counter("silent right/image_raw") >= 1
         graph.send(camera.pair(NEXT_NS))
-        graph.wait(lambda: received, "disparity once both eyes see")
+        graph.wait(lambda: received, "disparity once both cameras see")
 
 
 def test_silence_is_told_after_a_whole_interval_only(camera: StereoCamera, monkeypatch: pytest.MonkeyPatch) -> None:

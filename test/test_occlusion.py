@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pixels that both eyes see, computed from the left truth: by hand, on exact geometry, on a published mask."""
+"""Pixels that both cameras see, computed from the left truth: by hand, on exact geometry, on a published mask."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_surface_that_is_passed_over_is_visible() -> None:
 
 def test_step_of_one_pixel_hides_and_a_slanted_surface_does_not() -> None:
     assert visible([1, 1, 1, 2, 2, 2]) == [[0, 1, 0, 1, 1, 1]]
-    slanted = [0.45 * x for x in range(7)]  # lands on 0, 0.55, 1.1, 1.65, ...: two neighbours share a right pixel
+    slanted = [0.45 * x for x in range(7)]  # lands on 0, 0.55, 1.1, 1.65, ...: two neighbors share a right pixel
     assert visible(slanted) == [[1] * 7]
 
 
@@ -59,5 +59,5 @@ def test_agrees_with_the_mask_of_cones(stereo_data: Path) -> None:
     assert scene.occlusion == "mask"
     known = np.isfinite(scene.truth_px)
     computed = visible_pixels(scene.truth_px)[known]
-    assert np.mean(computed == scene.visible[known]) > 0.985  # the mask was made of the truth of both eyes
+    assert np.mean(computed == scene.visible[known]) > 0.985  # the mask was made of the truth of both cameras
     assert 0.85 < np.mean(scene.visible[known]) < 0.91

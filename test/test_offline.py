@@ -90,13 +90,13 @@ def write_with_wrong_image(path: Path, bad: tuple[int, ...]) -> None:
     with BagWriter(path) as bag:
         for index, frame in enumerate(made):
             stamp = frame.pair.left.stamp_ns
-            for eye, image, camera in (
+            for side, image, camera in (
                 ("left", frame.pair.left, made.rig.left),
                 ("right", frame.pair.right, made.rig.right),
             ):
-                pixels = image.pixels[: HEIGHT - 2] if eye == "left" and index in bad else image.pixels
-                bag.write(f"/{eye}/camera_info", camera_info_message(types, camera, stamp), stamp)
-                bag.write(f"/{eye}/image_raw", image_message(types, pixels, "mono8", stamp, eye), stamp)
+                pixels = image.pixels[: HEIGHT - 2] if side == "left" and index in bad else image.pixels
+                bag.write(f"/{side}/camera_info", camera_info_message(types, camera, stamp), stamp)
+                bag.write(f"/{side}/image_raw", image_message(types, pixels, "mono8", stamp, side), stamp)
 
 
 def test_pair_that_is_refused_is_left_out_and_told(tmp_path: Path) -> None:

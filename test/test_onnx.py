@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Networks built here, whose disparities are known: a block matcher, and one that tells the left grey value."""
+"""Networks built here, whose disparities are known: a block matcher, and one that tells the left gray value."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Network:
         self._constants.append(onnx.numpy_helper.from_array(np.array(values, dtype), name))
         return name
 
-    def grey(self, image: str) -> str:
+    def gray(self, image: str) -> str:
         """(1, 1, H, W) float, the mean of the channels."""
         return self.add("ReduceMean", self.add("Cast", image, to=TensorProto.FLOAT), axes=[1], keepdims=1)
 
@@ -74,7 +74,7 @@ class Network:
 
 def block_matching(network: Network, left: str = "left", right: str = "right") -> str:
     """(1, 1, H, W): the shift of 0 to 23 px with the least absolute difference over windows of 5 x 5."""
-    left, right = network.grey(left), network.grey(right)
+    left, right = network.gray(left), network.gray(right)
     costs = []
     for shift in range(SHIFTS):
         padded = network.add("Pad", right, network.constant([0, 0, 0, shift, 0, 0, 0, 0], np.int64), mode="edge")
@@ -87,9 +87,9 @@ def block_matching(network: Network, left: str = "left", right: str = "right") -
 
 
 def left_grey(network: Network) -> str:
-    """(1, 1, H, W): the grey value of the left image, whatever the right one is."""
-    nothing = network.add("Mul", network.grey("right"), network.constant(0))
-    return network.add("Add", network.grey("left"), nothing)
+    """(1, 1, H, W): the gray value of the left image, whatever the right one is."""
+    nothing = network.add("Mul", network.gray("right"), network.constant(0))
+    return network.add("Add", network.gray("left"), nothing)
 
 
 def matcher(model: str, **fields: Any) -> OnnxMatcher:
@@ -154,7 +154,7 @@ def test_left_input_is_found_by_its_name_or_comes_first(tmp_path: Path, names: t
 def test_free_sizes_are_padded_to_what_pooling_needs(tmp_path: Path) -> None:
     """Pooled by 32 and enlarged again, the sizes agree only if they are multiples of 32."""
     network = Network()
-    pooled = network.add("MaxPool", network.grey("left"), kernel_shape=[32, 32], strides=[32, 32])
+    pooled = network.add("MaxPool", network.gray("left"), kernel_shape=[32, 32], strides=[32, 32])
     scales = network.constant([1, 1, 32, 32])
     enlarged = network.add("Resize", pooled, "", scales, mode="nearest")
     unchanged = network.add("Mul", enlarged, network.constant(0))
@@ -165,7 +165,7 @@ def test_free_sizes_are_padded_to_what_pooling_needs(tmp_path: Path) -> None:
 
 
 def test_fixed_size_scales_images_and_disparities(tmp_path: Path) -> None:
-    """Half the width and a third of the height: blocks of 3 x 2 px keep their grey values, which are disparities."""
+    """Half the width and a third of the height: blocks of 3 x 2 px keep their gray values, which are disparities."""
     network = Network((1, 1, 20, 60))
     model = network.save(tmp_path / "network.onnx", {"output": left_grey(network)})
     small = np.random.default_rng(0).integers(0, 15, (20, 60), dtype=np.uint8)
@@ -186,13 +186,13 @@ def test_fixed_size_finds_the_shift(tmp_path: Path, low: int) -> None:
     assert_shift(result, 12, margin=10)
 
 
-def reference(grey: U8, low: int) -> tuple[np.ndarray, np.ndarray]:
-    """Disparities and reasons of a network that tells sqrt(grey - 10), pixel by pixel."""
-    height, width = grey.shape
-    disparity, reasons = np.full(grey.shape, np.nan, np.float32), np.zeros(grey.shape, np.uint8)
+def reference(gray: U8, low: int) -> tuple[np.ndarray, np.ndarray]:
+    """Disparities and reasons of a network that tells sqrt(gray - 10), pixel by pixel."""
+    height, width = gray.shape
+    disparity, reasons = np.full(gray.shape, np.nan, np.float32), np.zeros(gray.shape, np.uint8)
     for y in range(height):
         for x in range(width):
-            d = np.sqrt(float(grey[y, x]) - 10) + low if grey[y, x] >= 10 else np.nan
+            d = np.sqrt(float(gray[y, x]) - 10) + low if gray[y, x] >= 10 else np.nan
             if not low <= d <= low + 31:
                 reasons[y, x] |= Reason.NO_MATCH
             if x - d < 0 or x - d > width - 1 or x - low < 0 or x - (low + 31) > width - 1:
@@ -208,10 +208,10 @@ def test_reasons(tmp_path: Path, low: int) -> None:
     shifted = network.add("Sub", left_grey(network), network.constant(10))
     long = network.add("Mul", network.add("Sqrt", shifted), network.constant(1))
     model = network.save(tmp_path / "network.onnx", {"output": long})
-    grey = np.random.default_rng(8).integers(0, 256, (37, 110), dtype=np.uint8)
-    out = np.full(grey.shape, 7, np.float32)
-    result = matcher(model, min_disparity=low).match(grey, grey, out)
-    disparity, reasons = reference(grey, low)
+    gray = np.random.default_rng(8).integers(0, 256, (37, 110), dtype=np.uint8)
+    out = np.full(gray.shape, 7, np.float32)
+    result = matcher(model, min_disparity=low).match(gray, gray, out)
+    disparity, reasons = reference(gray, low)
     assert result.disparity_px is out
     np.testing.assert_array_equal(result.reasons, reasons)
     np.testing.assert_allclose(out, disparity, rtol=1e-6, atol=1e-5)
@@ -221,8 +221,8 @@ def test_reasons(tmp_path: Path, low: int) -> None:
 def test_what_lies_beyond_the_range_is_no_match(tmp_path: Path) -> None:
     network = Network()
     model = network.save(tmp_path / "network.onnx", {"output": left_grey(network)})
-    grey = np.tile(np.array([30, 31, 32, 90], np.uint8), (40, 40))
-    result = matcher(model).match(grey, grey)
+    gray = np.tile(np.array([30, 31, 32, 90], np.uint8), (40, 40))
+    result = matcher(model).match(gray, gray)
     np.testing.assert_array_equal(result.reasons[:, 90:], np.tile([0, 0, 1, 1], (40, 18))[:, 2:])
 
 
@@ -288,7 +288,7 @@ def test_missing_onnxruntime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_wrong_number_of_inputs(tmp_path: Path) -> None:
     network = Network(names=("image",))
-    model = network.save(tmp_path / "network.onnx", {"output": network.grey("image")})
+    model = network.save(tmp_path / "network.onnx", {"output": network.gray("image")})
     with pytest.raises(ConfigError, match=r"has 1 input\(s\), image, it must have 2, the left and the right image"):
         matcher(model)
 

@@ -42,10 +42,10 @@ from stereo_depth_ros.nodes.ros_types import RclpyTypes
 width, height, rate_hz, frames = map(int, sys.argv[1:])
 scene, types = SyntheticSequence(1, width, height), RclpyTypes()
 pair, messages = scene[0].pair, {}
-for eye, camera in (("left", scene.rig.left), ("right", scene.rig.right)):
-    messages[f"{eye}/camera_info"] = camera_info_message(types, camera, 0)
-for eye, frame in (("left", pair.left), ("right", pair.right)):
-    messages[f"{eye}/image_raw"] = image_message(types, frame.pixels, "mono8", 0, frame.frame_id)
+for camera, camera in (("left", scene.rig.left), ("right", scene.rig.right)):
+    messages[f"{camera}/camera_info"] = camera_info_message(types, camera, 0)
+for camera, frame in (("left", pair.left), ("right", pair.right)):
+    messages[f"{camera}/image_raw"] = image_message(types, frame.pixels, "mono8", 0, frame.frame_id)
 
 rclpy.init()
 node = rclpy.create_node("camera")

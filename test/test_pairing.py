@@ -25,16 +25,16 @@ def within(tolerance_s: float, queue_size: int = 5) -> PairingConfig:
 def run(pairing: StereoPairing[int], arrivals: Iterable[tuple[str, int]]) -> list[tuple[int, int]]:
     """Pairs of stamps, for arrivals of ("L" or "R", stamp)."""
     pairs = []
-    for eye, stamp_ns in arrivals:
-        pairs += (pairing.add_left if eye == "L" else pairing.add_right)(stamp_ns, stamp_ns)
+    for side, stamp_ns in arrivals:
+        pairs += (pairing.add_left if side == "L" else pairing.add_right)(stamp_ns, stamp_ns)
     return pairs
 
 
 def interleaved(left: Stamps, right: Stamps, rng: np.random.Generator) -> list[tuple[str, int]]:
     """Both sequences in their order, one into the other at random."""
-    eyes = rng.permutation(["L"] * len(left) + ["R"] * len(right))
+    sides = rng.permutation(["L"] * len(left) + ["R"] * len(right))
     stamps = {"L": iter(left), "R": iter(right)}
-    return [(eye, next(stamps[eye])) for eye in eyes]
+    return [(side, next(stamps[side])) for side in sides]
 
 
 def by_time(left: Stamps, right: Stamps) -> list[tuple[str, int]]:
@@ -207,7 +207,7 @@ def test_a_late_item_never_comes_out_of_order(config: PairingConfig) -> None:
 
 
 def test_looped_bag_starts_anew() -> None:
-    bag = [(eye, i * 100 * MS) for i in range(12) for eye in "LR"]
+    bag = [(side, i * 100 * MS) for i in range(12) for side in "LR"]
     pairing: StereoPairing[int] = StereoPairing(EXACT)
     assert len(run(pairing, bag + bag + bag)) == 36
     assert pairing.counts == PairingCounts(paired=36, backwards=2)
@@ -221,7 +221,7 @@ def test_more_than_one_second_back_is_another_clock(back_ns: int, backwards: int
 
 
 def test_late_items_between_timely_ones_are_no_set_back_clock() -> None:
-    arrivals = [(eye, stamp) for i in range(10, 30) for stamp in (i * MS, i * MS - 5) for eye in "LR"]
+    arrivals = [(side, stamp) for i in range(10, 30) for stamp in (i * MS, i * MS - 5) for side in "LR"]
     pairing: StereoPairing[int] = StereoPairing(EXACT)
     assert len(run(pairing, arrivals)) == 20
     assert pairing.counts == PairingCounts(paired=20, dropped_left=20, dropped_right=20)
@@ -236,7 +236,7 @@ def test_cleared_items_are_counted_as_dropped() -> None:
 
 def test_a_clock_set_back_a_little_costs_a_queue_of_frames() -> None:
     """A third of a second back: more late frames in a row than the queue holds cannot be reordering."""
-    bag = [(eye, i * 33 * MS) for i in range(11) for eye in "LR"]
+    bag = [(side, i * 33 * MS) for i in range(11) for side in "LR"]
     pairing: StereoPairing[int] = StereoPairing(EXACT)
     pairs = run(pairing, bag + bag)
     assert len(pairs) == 11 + 6

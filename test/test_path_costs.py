@@ -25,7 +25,7 @@ def step_by_definition(before: I64, cost: I64, P1: int, P2: int) -> I64:
 
 
 def path_by_definition(cost: I64, image: U8, P1: int, P2: I64, dy: int, dx: int) -> I64:
-    """int64 (H, W, K): path costs of a whole image in the direction (dy, dx); P2 by the grey difference."""
+    """int64 (H, W, K): path costs of a whole image in the direction (dy, dx); P2 by the gray difference."""
     height, width, _ = cost.shape
     path = cost.copy()
     for y in range(height)[:: -1 if dy < 0 else 1]:

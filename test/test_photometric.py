@@ -10,7 +10,7 @@ import pytest
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.types import U8
-from stereo_depth_ros.matching.photometric import match_brightness
+from stereo_depth_ros.matching.photometric import match_photometric
 
 CONFIG = MatchingConfig(num_disparities=32)
 
@@ -33,7 +33,7 @@ def test_a_smooth_difference_is_taken_away(low: float, high: float, shift: int, 
     left, right = textured_pair(shift)
     brighter = np.rint(left + ramp(low, high)).astype(np.uint8)
     config = MatchingConfig(num_disparities=32, min_disparity=min_disparity)
-    error = match_brightness(brighter, right, config).astype(int) - left
+    error = match_photometric(brighter, right, config).astype(int) - left
     inner = error[20:-20, 40:-40]
     # A share of 0.05 / 1.05 stays, up to 2.7 of 57 levels; both images and the result are rounded.
     assert np.abs(inner).max() <= 1 + 0.05 * max(abs(low), abs(high))
@@ -43,17 +43,17 @@ def test_a_smooth_difference_is_taken_away(low: float, high: float, shift: int, 
 def test_equal_images_and_what_cannot_be_matched_stay_as_they_are() -> None:
     left, right = textured_pair(9)
     inner = np.s_[16:-16, 40:]
-    np.testing.assert_allclose(match_brightness(left, right, CONFIG)[inner].astype(int), left[inner], atol=1)
+    np.testing.assert_allclose(match_photometric(left, right, CONFIG)[inner].astype(int), left[inner], atol=1)
     flat = np.full((40, 90), 100, np.uint8)
-    np.testing.assert_array_equal(match_brightness(flat, flat - np.uint8(20), CONFIG), flat)
+    np.testing.assert_array_equal(match_photometric(flat, flat - np.uint8(20), CONFIG), flat)
     one_pixel = MatchingConfig(num_disparities=32, correlation_window_size=1)
-    np.testing.assert_array_equal(match_brightness(left, right, one_pixel), left)
+    np.testing.assert_array_equal(match_photometric(left, right, one_pixel), left)
 
 
 def test_outliers_do_not_darken_their_neighbours() -> None:
     left, right = textured_pair(9)
     shining = left.copy()
     shining[40:50, 100:110] = 255  # a reflection in one image
-    error = match_brightness(shining, right, CONFIG).astype(int) - shining
+    error = match_photometric(shining, right, CONFIG).astype(int) - shining
     # Were all of it matched and none bounded, the 100 px of 961 would take about 13 levels away.
     assert np.abs(error[16:-16, 40:-20]).max() <= 3

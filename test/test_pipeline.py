@@ -89,15 +89,15 @@ def test_an_image_of_another_size_is_refused(frame: SyntheticFrame) -> None:
 
 def test_swapped_images_are_refused(frame: SyntheticFrame) -> None:
     pipeline = StereoPipeline(PipelineConfig(), SEQUENCE.rig)
-    with pytest.raises(ImageError, match="eyes look swapped"):
+    with pytest.raises(ImageError, match="cameras look swapped"):
         pipeline.process(StereoPair(frame.pair.right, frame.pair.left))
 
 
 def test_margins_that_the_raw_cameras_did_not_see_have_no_disparity(frame: SyntheticFrame) -> None:
-    """Both eyes turned by 16 degrees about the baseline: still a rectified pair, with a black margin above or below."""
+    """Both cameras turned by 16 degrees about the baseline: still a rectified pair, with black rows above or below."""
     angle = np.deg2rad(16.0)
     turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
-    left, right = (dataclasses.replace(eye, R=turn @ eye.R) for eye in (SEQUENCE.rig.left, SEQUENCE.rig.right))
+    left, right = (dataclasses.replace(side, R=turn @ side.R) for side in (SEQUENCE.rig.left, SEQUENCE.rig.right))
     rig = dataclasses.replace(SEQUENCE.rig, left=left, right=right)
     result = StereoPipeline(PipelineConfig(matching=MatchingConfig(num_disparities=48)), rig).process(frame.pair)
     unseen = ~Rectifier(rig).left_source

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The preview picture: colours, legend, size, errors."""
+"""The preview image: colors, legend, size, errors."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ def test_legend_ticks_are_inside_the_range_and_a_line_apart(near_m: float, far_m
 
 def test_picture_holds_the_left_image_and_the_depth_beside_it() -> None:
     left = np.arange(np.prod(SHAPE), dtype=np.uint32).reshape(SHAPE).astype(np.uint8)
-    picture = preview(left, ramp(), "title")
+    image = preview(left, ramp(), "title")
     scale = 7  # 96 px become 672, next to the 640 of a panel
-    assert picture.shape[1] > 2 * scale * SHAPE[1]
+    assert image.shape[1] > 2 * scale * SHAPE[1]
     panel = np.kron(left, np.ones((scale, scale), np.uint8))
-    rows = [y for y in range(picture.shape[0] - panel.shape[0]) if (picture[y : y + 420, 16, 0] == panel[:, 0]).all()]
+    rows = [y for y in range(image.shape[0] - panel.shape[0]) if (image[y : y + 420, 16, 0] == panel[:, 0]).all()]
     assert len(rows) == 1
-    np.testing.assert_array_equal(picture[rows[0] : rows[0] + 420, 16 : 16 + 672, 1], panel)
+    np.testing.assert_array_equal(image[rows[0] : rows[0] + 420, 16 : 16 + 672, 1], panel)
     depth_x = 16 + 672 + 16
-    assert not picture[rows[0], depth_x : depth_x + 672].any(), "row 0 is invalid"
-    assert picture[rows[0] + scale, depth_x, 2] > picture[rows[0] + scale, depth_x, 0], "near is red"
+    assert not image[rows[0], depth_x : depth_x + 672].any(), "row 0 is invalid"
+    assert image[rows[0] + scale, depth_x, 2] > image[rows[0] + scale, depth_x, 0], "near is red"
 
 
 def test_nothing_valid_gives_a_black_panel_and_no_error() -> None:
-    picture = preview(np.full(SHAPE, 90, np.uint8), np.full(SHAPE, np.nan, np.float32))
-    assert not picture[16 : 16 + 420, 16 + 672 + 16 : 16 + 672 + 16 + 672].any()
+    image = preview(np.full(SHAPE, 90, np.uint8), np.full(SHAPE, np.nan, np.float32))
+    assert not image[16 : 16 + 420, 16 + 672 + 16 : 16 + 672 + 16 + 672].any()
 
 
 def test_sizes_that_differ_are_refused() -> None:

@@ -48,7 +48,7 @@ def test_rectified_points_are_those_of_a_pinhole(model: str) -> None:
     pinhole = np.array([310.0, 0, 201], np.float64), np.array([0, 305.0, 149]), np.array([0, 0, 1.0])
     P = np.column_stack((np.stack(pinhole), np.zeros(3)))
     K = np.array([[rig.left[0], 0, rig.left[2]], [0, rig.left[1], rig.left[3]], [0, 0, 1]])
-    found = rectified_points(model, K, rig.left[4:], np.eye(3), P, raw)
+    found = rectified_points(model, K, rig.left[4:], np.identity(3), P, raw)
     none = np.zeros(len(MODELS["plumb_bob"]))
     expected = project("plumb_bob", np.array([310.0, 305, 201, 149, *none]), pose, BOARD_M).image_px
     np.testing.assert_allclose(found, expected, atol=1e-5)

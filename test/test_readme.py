@@ -134,7 +134,7 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
     pytest.importorskip("rclpy", reason="graph tests need ROS 2")
     from graph_harness import Graph
 
-    from stereo_depth_ros.nodes.calibration_monitor import HealthNode
+    from stereo_depth_ros.nodes.calibration_monitor import CalibrationMonitor
     from stereo_depth_ros.nodes.calibration_node import CalibrationNode
     from stereo_depth_ros.nodes.depth_node import DepthNode
     from stereo_depth_ros.nodes.disparity_node import DisparityNode
@@ -148,7 +148,7 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
         return {name: kind for name, kind in found.items() if name not in ("rosout", "parameter_events", "clock")}
 
     path = (RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode)
-    with Graph(*path, FeatureNode, HealthNode, CalibrationNode, parameters={"auto_correct": True}) as graph:
+    with Graph(*path, FeatureNode, CalibrationMonitor, CalibrationNode, parameters={"auto_correct": True}) as graph:
         kinds = {end.topic_name: end.msg_type for node in graph.nodes for end in node.publishers}
         for topic in kinds.keys() - {"/rosout", "/parameter_events", "/diagnostics"}:
             graph.listen(topic, kinds[topic])
@@ -258,7 +258,7 @@ def test_python_example_of_the_geometry() -> None:
     names: dict[str, Any] = {"left": frame.pair.left.pixels, "right": frame.pair.right.pixels, "rig": sequence.rig}
     exec(compile(code, "README.md", "exec"), names)
     assert names["found"].H_left.shape == names["F"].shape == (3, 3)
-    assert names["points"].level.unit == "metres"
+    assert names["points"].level.unit == "meters"
     depth_m = names["points"].points[:, 2]
     assert np.isfinite(depth_m).mean() > 0.7
     assert 1 < np.nanmedian(depth_m) < 10

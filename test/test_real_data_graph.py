@@ -48,7 +48,7 @@ SIZES = {"kitti": (1226, 370), "euroc": (752, 480)}
 PAIRS = {"kitti": 21, "euroc": 24}
 ENCODINGS = {
     "/left/image_rect": "mono8",
-    "/left/image_rect_color": "mono8",  # both sequences are grey
+    "/left/image_rect_color": "mono8",  # both sequences are gray
     "/right/image_rect": "mono8",
     "/depth/image_rect": "32FC1",
 }
@@ -238,8 +238,8 @@ def median_row_error(left: U8, right: U8) -> float:
 def row_errors(bag: Path, topic: str) -> list[float]:
     """Of four pairs over the sequence."""
     images = []
-    for eye in ("left", "right"):
-        found = list(messages_of(bag, f"/{eye}/{topic}").values())[::6]
+    for side in ("left", "right"):
+        found = list(messages_of(bag, f"/{side}/{topic}").values())[::6]
         images.append([pixels_of(TYPES.deserialize(data, "sensor_msgs/msg/Image")) for data in found])
     return [median_row_error(left, right) for left, right in zip(*images, strict=True)]
 
@@ -277,7 +277,7 @@ def test_kitti_depth_and_points_follow_from_disparity(played: Callable[[str, str
 
 
 def distance_to_road(points_m: F32) -> float:
-    """Of the camera to the plane y = a + b x + c z through what lies below and ahead of it, metres."""
+    """Of the camera to the plane y = a + b x + c z through what lies below and ahead of it, meters."""
     x, y, z = np.moveaxis(points_m.astype(np.float64), -1, 0)
     ahead = (np.abs(x) < 1.5) & (z > 6) & (z < 16) & (y > 1.0)
     terms, y = np.stack([np.ones(ahead.sum()), x[ahead], z[ahead]], axis=-1), y[ahead]
@@ -292,7 +292,7 @@ def distance_to_road(points_m: F32) -> float:
 
 def test_kitti_road_lies_as_deep_as_the_camera_is_high(played: Callable[[str, str], Played]) -> None:
     clouds = played("kitti", "fused").topic("/points2").values()
-    # 1.65 m by the data sheet of the car, whose suspension makes some centimetres
+    # 1.65 m by the data sheet of the car, whose suspension makes some centimeters
     assert np.median([distance_to_road(points_of(cloud)) for cloud in clouds]) == pytest.approx(1.65, abs=0.05)
 
 
@@ -302,12 +302,12 @@ def test_compressed_pair_gives_the_disparity_of_the_raw_one(
     dataset = datasets["kitti"]
     frame, path = next(iter(dataset)), folder / "png.mcap"
     with BagWriter(path) as bag:
-        eyes = (("left", frame.left, dataset.rig.left), ("right", frame.right, dataset.rig.right))
-        for eye, image, camera in eyes:
+        sides = (("left", frame.left, dataset.rig.left), ("right", frame.right, dataset.rig.right))
+        for side, image, camera in sides:
             stamp = image.stamp_ns
             message = compressed_message(TYPES, image.pixels, image.encoding, "png", stamp, image.frame_id)
-            bag.write(f"/{eye}/camera_info", camera_info_message(TYPES, camera, stamp), stamp)
-            bag.write(f"/{eye}/image_raw/compressed", message, stamp)
+            bag.write(f"/{side}/camera_info", camera_info_message(TYPES, camera, stamp), stamp)
+            bag.write(f"/{side}/image_raw/compressed", message, stamp)
     compressed = play(path, "fused", PARAMETERS["kitti"], folder / "from_png.mcap")
     stamp = frame.left.stamp_ns
     raw = messages_of(played("kitti", "fused").output, "/disparity")[stamp]
@@ -357,7 +357,7 @@ def test_published_disparity_and_depth_agree_with_the_truth(
     both = np.isfinite(truth_px) & np.isfinite(published)
     assert np.count_nonzero(both) > 0.7 * np.count_nonzero(np.isfinite(truth_px))
     assert np.median(np.abs(published - (truth_px + doffs))[both]) < 0.5
-    # an error of a disparity is one of Z^2 / (f B) times as many metres
+    # an error of a disparity is one of Z^2 / (f B) times as many meters
     metres_a_pixel = truth_m[both] ** 2 / (focal_px * baseline_m)
     error_m = np.abs(depth_m - truth_m)[both]
     assert np.median(error_m) < 0.5 * np.median(metres_a_pixel)

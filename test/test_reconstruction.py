@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reconstruction at three levels: metres, shape, incidence; each against points that are known."""
+"""Reconstruction at three levels: meters, shape, incidence; each against points that are known."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from stereo_depth_ros.geometry.reconstruction import Cameras, Level, canonical_c
 from stereo_depth_ros.geometry.triangulation import fundamental_from_cameras
 
 D_LEFT, D_RIGHT = np.array([-0.2, 0.05, 0.001, -0.0007, 0.01]), np.array([-0.17, 0.03, -0.0004, 0.0009, 0.02])
-LEFT = CameraModel(*SIZE, "plumb_bob", K_LEFT, D_LEFT, np.eye(3), np.eye(3, 4))
-RIGHT = CameraModel(*SIZE, "plumb_bob", K_RIGHT, D_RIGHT, np.eye(3), np.eye(3, 4))
+LEFT = CameraModel(*SIZE, "plumb_bob", K_LEFT, D_LEFT, np.identity(3), np.identity(4)[:3])
+RIGHT = CameraModel(*SIZE, "plumb_bob", K_RIGHT, D_RIGHT, np.identity(3), np.identity(4)[:3])
 RIG = StereoRig.from_calibration(K_LEFT, D_LEFT, K_RIGHT, D_RIGHT, POSE.R, POSE.t, SIZE)
 
 
@@ -40,7 +40,7 @@ def test_with_intrinsics_and_extrinsics_it_is_euclidean() -> None:
     seen = views(40)
     found = reconstruct(*distorted(seen), RIG)
     assert found.level is Level.EUCLIDEAN
-    assert found.level.unit == "metres"
+    assert found.level.unit == "meters"
     assert found.valid.all()
     np.testing.assert_allclose(found.points, seen.points_m, rtol=1e-5)
     assert found.residual_px.max() < 1e-4
@@ -77,7 +77,7 @@ def test_without_anything_it_is_projective() -> None:
     assert found.level is Level.PROJECTIVE
     assert found.level.unit is None
     assert found.pose is None
-    np.testing.assert_array_equal(found.P_left, np.eye(3, 4))
+    np.testing.assert_array_equal(found.P_left, np.identity(4)[:3])
     H = space_homography(found.homogeneous[:15], seen.points_m[:15])
     moved = found.homogeneous @ H.T
     np.testing.assert_allclose(moved[15:, :3] / moved[15:, 3:], seen.points_m[15:], rtol=1e-4)
@@ -143,7 +143,7 @@ def test_points_behind_the_cameras_have_no_depth() -> None:
 def test_canonical_cameras_have_the_fundamental_matrix() -> None:
     for v, scale in (((0, 0, 0), 1.0), ((0.3, -0.2, 1.1), -2.5)):
         cameras = canonical_cameras(5 * F_TRUE, v, scale)
-        np.testing.assert_array_equal(cameras[0], np.eye(3, 4))
+        np.testing.assert_array_equal(cameras[0], np.identity(4)[:3])
         np.testing.assert_allclose(unit_scale(fundamental_from_cameras(*cameras)), unit_scale(F_TRUE), atol=1e-12)
 
 
@@ -171,7 +171,7 @@ def test_errors_fall_as_the_root_of_the_number() -> None:
 
 
 def bare(K: F64) -> CameraModel:
-    return CameraModel(*SIZE, "plumb_bob", K, np.zeros(5), np.eye(3), np.eye(3, 4))
+    return CameraModel(*SIZE, "plumb_bob", K, np.zeros(5), np.identity(3), np.identity(4)[:3])
 
 
 @pytest.mark.real_data

@@ -20,7 +20,7 @@ def test_cross_matrix() -> None:
 
 
 def test_right_centre_is_where_the_right_camera_sees_zero() -> None:
-    np.testing.assert_allclose(POSE.R @ POSE.right_centre + POSE.t, 0, atol=1e-15)
+    np.testing.assert_allclose(POSE.R @ POSE.right_center + POSE.t, 0, atol=1e-15)
 
 
 def test_essential_matrix_of_one_point_in_both_cameras() -> None:
@@ -67,7 +67,7 @@ def test_the_other_direction_is_180_degrees_away() -> None:
 
 def test_no_pose() -> None:
     with pytest.raises(CalibrationError, match=r"shape \(2, 2\) and t \(3,\).*\(3, 3\)"):
-        RelativePose(np.eye(2), POSE.t)
+        RelativePose(np.identity(2), POSE.t)
     with pytest.raises(CalibrationError, match="R from the left to the right camera"):
         RelativePose(1.1 * POSE.R, POSE.t)
     for nothing in ([0.0, 0.0, 0.0], [0.1, np.nan, 0.0]):

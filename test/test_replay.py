@@ -75,11 +75,11 @@ def write_with_smaller_images(path: Path) -> None:
     types, made = RosbagsTypes(), sequence(3)
     with BagWriter(path) as writer:
         for frame in made:
-            eyes = (("left", frame.pair.left, made.rig.left), ("right", frame.pair.right, made.rig.right))
-            for eye, image, camera in eyes:
+            sides = (("left", frame.pair.left, made.rig.left), ("right", frame.pair.right, made.rig.right))
+            for side, image, camera in sides:
                 small = image_message(types, image.pixels[:-2], "mono8", image.stamp_ns, image.frame_id)
-                writer.write(f"/{eye}/camera_info", camera_info_message(types, camera, image.stamp_ns), image.stamp_ns)
-                writer.write(f"/{eye}/image_raw", small, image.stamp_ns)
+                writer.write(f"/{side}/camera_info", camera_info_message(types, camera, image.stamp_ns), image.stamp_ns)
+                writer.write(f"/{side}/image_raw", small, image.stamp_ns)
 
 
 def assert_equal_messages(path: Path, other: Path, topics: tuple[str, ...]) -> None:

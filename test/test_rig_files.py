@@ -45,9 +45,9 @@ def test_bags(tmp_path: Path, odd: bool) -> None:
 def test_a_bag_without_camera_infos(tmp_path: Path) -> None:
     types, frame = RosbagsTypes(), next(iter(sequence(1)))
     with BagWriter(tmp_path / "b.mcap") as bag:
-        for eye, image in (("left", frame.pair.left), ("right", frame.pair.right)):
+        for side, image in (("left", frame.pair.left), ("right", frame.pair.right)):
             message = image_message(types, image.pixels, "mono8", image.stamp_ns, image.frame_id)
-            bag.write(f"/{eye}/image_raw", message, image.stamp_ns)
+            bag.write(f"/{side}/image_raw", message, image.stamp_ns)
     with pytest.raises(BagError, match="no CameraInfo belongs to /left/image_raw: record the camera infos"):
         read_rig([tmp_path / "b.mcap"])
 
@@ -61,5 +61,5 @@ def test_paths_that_name_no_rig(folder: Path) -> None:
     with pytest.raises(CalibrationError, match=r"left\.yaml is one camera and no right\.yaml is beside it"):
         read_rig([folder / "left.yaml"])
     write_camera(folder / "head.yaml", RIG.left, "head")
-    with pytest.raises(CalibrationError, match=r"head\.yaml is one camera and its name tells neither eye"):
+    with pytest.raises(CalibrationError, match=r"head\.yaml is one camera and its name tells neither camera"):
         read_rig([folder / "head.yaml"])

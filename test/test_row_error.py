@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Row errors of matched features: against pictures moved by known amounts."""
+"""Row errors of matched features: against images moved by known amounts."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ WAVES = _RANDOM.normal(0, 0.35, (2, 60))  # radians a pixel
 PHASES = _RANDOM.uniform(0, 2 * np.pi, 60)
 
 
-def picture(x: F64, y: F64) -> U8:
+def image(x: F64, y: F64) -> U8:
     """A texture that can be looked at anywhere, exactly: waves in all directions."""
-    grey = np.cos(x[..., None] * WAVES[0] + y[..., None] * WAVES[1] + PHASES).sum(axis=2)
-    return np.asarray(np.clip(128 + 15 * grey, 0, 255), np.uint8)
+    gray = np.cos(x[..., None] * WAVES[0] + y[..., None] * WAVES[1] + PHASES).sum(axis=2)
+    return np.asarray(np.clip(128 + 15 * gray, 0, 255), np.uint8)
 
 
 def texture() -> U8:
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
-    return picture(x, y)
+    return image(x, y)
 
 
 def seen_by_right(disparity_px: float, down_px: F64 | float) -> U8:
     """The texture with every pixel moved to the left by the disparity, and down."""
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
-    return picture(x + disparity_px, y - down_px)
+    return image(x + disparity_px, y - down_px)
 
 
 @pytest.mark.parametrize("down_px", [0.0, 0.3, -2.7, 11.4])
@@ -67,7 +67,7 @@ def test_matches_come_from_all_over_the_picture() -> None:
 
 
 def test_matches_of_other_things_in_the_pictures_are_left_out() -> None:
-    """A part of the right picture is higher by 9 px than all the rest: a reflection, something that moves."""
+    """A part of the right image is higher by 9 px than all the rest: a reflection, something that moves."""
     left = texture()
     right = seen_by_right(6.0, 0.5)
     right[90:170, 100:220] = seen_by_right(6.0, -9.0)[90:170, 100:220]

@@ -33,10 +33,10 @@ def test_frames_are_those_of_the_generator() -> None:
         messages = {topic: [reader.deserialize(m) for m in reader.messages([topic])] for topic in topics}
     for index in (0, 13):
         frame = sequence[index]
-        for topic, eye in (("/left/image_raw", frame.pair.left), ("/right/image_raw", frame.pair.right)):
+        for topic, side in (("/left/image_raw", frame.pair.left), ("/right/image_raw", frame.pair.right)):
             message = messages[topic][index]
-            assert stamp_ns(message.header) == eye.stamp_ns
-            np.testing.assert_array_equal(message.data.reshape(480, 640), eye.pixels)
+            assert stamp_ns(message.header) == side.stamp_ns
+            np.testing.assert_array_equal(message.data.reshape(480, 640), side.pixels)
         truth = published_disparity(messages["/truth/disparity"][index])
         expected = frame.truth_disparity_px - sequence.rig.doffs_px
         np.testing.assert_allclose(truth, expected, atol=1 / 512 + 1e-5)  # rounded to 1/256 px

@@ -20,7 +20,7 @@ from stereo_depth_ros.matching.global_methods.scanline import FAR
 
 
 def path_cost(labels: tuple[int, ...], costs: np.ndarray, gaps: np.ndarray, occlusion: int) -> float:
-    """What a labelling of one row costs by the rules of a path; infinite where it breaks one.
+    """What a labeling of one row costs by the rules of a path; infinite where it breaks one.
 
     The right pixel of label k is x - k + a constant. Between two matches, the left pixels (or else the right ones) that
     lie between them are occluded. Before the first match and behind the last, left pixels are occluded one by one.
@@ -63,7 +63,7 @@ def test_path_is_the_cheapest_of_all(seed: int) -> None:
 
 
 def columns(data: np.ndarray, weights: np.ndarray, occlusion: int, largest_step: int) -> Iterator[tuple[tuple, int]]:
-    """All labellings of one column, the last label being "occluded", and what each costs."""
+    """All labelings of one column, the last label being "occluded", and what each costs."""
     height, count = data.shape
     for labels in itertools.product(range(count + 1), repeat=height):
         total = sum(occlusion if k == count else int(data[y, k]) for y, k in enumerate(labels))

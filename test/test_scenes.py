@@ -123,19 +123,19 @@ def scene() -> Scene:
 
 def test_plausible_scene_passes(scene: Scene) -> None:
     check_plausible(scene)
-    check_plausible(changed(scene, truth_px=scene.truth_px + np.float32(0.6)))  # rounded, or of another pixel centre
+    check_plausible(changed(scene, truth_px=scene.truth_px + np.float32(0.6)))  # rounded, or of another pixel center
 
 
 @pytest.mark.parametrize("scale", [-1, 1 / 256, 1 / 16, 1 / 3, 0.5, 2, 4, 16, 256])
 def test_truth_of_another_scale_is_refused(scene: Scene, scale: float) -> None:
-    with pytest.raises(ImageError, match=r"truth's scale looks wrong: it is about .* how many grey levels") as error:
+    with pytest.raises(ImageError, match=r"truth's scale looks wrong: it is about .* how many gray levels") as error:
         check_plausible(changed(scene, truth_px=scene.truth_px * np.float32(scale)))
     told = float(str(error.value).partition("about ")[2].partition(" times")[0])
     assert told == pytest.approx(scale, rel=0.05)  # matches are in steps of 1/16 px, the far plane is at 6 px
 
 
 def test_swapped_eyes_are_refused(scene: Scene) -> None:
-    with pytest.raises(ImageError, match=r"eyes look swapped: .*: exchange the left and the right images$"):
+    with pytest.raises(ImageError, match=r"cameras look swapped: .*: exchange the left and the right images$"):
         check_plausible(changed(scene, left=scene.right, right=scene.left))
 
 
@@ -151,7 +151,7 @@ def test_images_that_show_nothing_pass(scene: Scene) -> None:
 def test_real_scenes_pass_and_their_faults_are_refused(stereo_data: Path, place: str) -> None:
     scene = find_scenes(stereo_data / place)[0].load()
     check_plausible(scene)
-    with pytest.raises(ImageError, match="eyes look swapped"):
+    with pytest.raises(ImageError, match="cameras look swapped"):
         check_plausible(changed(scene, left=scene.right, right=scene.left))
     for scale in (1 / 16, 1 / 3, 2, 8):
         with pytest.raises(ImageError, match="truth's scale looks wrong"):

@@ -21,7 +21,7 @@ from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene
 from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.filters.hole_filling import fill_holes
-from stereo_depth_ros.matching.local_consistency import agreement
+from stereo_depth_ros.matching.local_consistency import local_consistency
 from stereo_depth_ros.matching.sgm import semi_global_matching
 from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
 
@@ -37,10 +37,10 @@ def matcher(**fields: Any) -> SemiGlobalMatcher:
 
 
 def patches(height: int, width: int, low: int, high: int, seed: int = 0) -> tuple[U8, U8]:
-    """A pair of patches with disparities of low..high, most of fine grey levels, some of few, with a little noise."""
+    """A pair of patches with disparities of low..high, most of fine gray levels, some of few, with a little noise."""
     rng = np.random.default_rng(seed)
     right = rng.integers(0, 250, (height, width), np.uint8)
-    right[:, width // 3 : width // 2] //= 100  # equal neighbours, equal costs
+    right[:, width // 3 : width // 2] //= 100  # equal neighbors, equal costs
     steps = rng.integers(low, high + 1, (5, 4)).astype(np.float32)
     disparity = cv2.resize(steps, (width, height), interpolation=cv2.INTER_NEAREST).astype(int)
     columns = np.clip(np.arange(width) - disparity, 0, width - 1)
@@ -60,18 +60,18 @@ def whole_image(left: U8, right: U8, config: MatchingConfig) -> tuple[F32, U8, F
     seen = (right_x >= 0) & (right_x < width)
     disparity_px = np.full(left.shape, np.nan, np.float32)
     reasons = np.full(left.shape, Reason.BORDER, np.uint8)
-    leads = np.zeros(left.shape, np.float32)
+    margins = np.zeros(left.shape, np.float32)
     for y in range(height):
         prefers = preferred_by_right_pixels(sums[y], right_x, seen)
         for x in np.flatnonzero(seen.any(axis=1)):
-            k, disparity, lead = winner(sums[y, x], seen[x], top)
-            if lead < config.uniqueness_ratio / 300:
+            k, disparity, margin = winner(sums[y, x], seen[x], top)
+            if margin < config.uniqueness_ratio / 300:
                 reasons[y, x] = Reason.UNIQUENESS
             elif abs(prefers[right_x[x, k]] - k) > max(config.disp12_max_diff, 1):
                 reasons[y, x] = Reason.LEFT_RIGHT
             else:
-                reasons[y, x], disparity_px[y, x], leads[y, x] = 0, disparity, lead
-    return disparity_px, reasons, leads
+                reasons[y, x], disparity_px[y, x], margins[y, x] = 0, disparity, margin
+    return disparity_px, reasons, margins
 
 
 def winner(sums: I64, seen: np.ndarray, top: int) -> tuple[int, float, np.float32]:
@@ -80,23 +80,23 @@ def winner(sums: I64, seen: np.ndarray, top: int) -> tuple[int, float, np.float3
     k = int(ks[np.argmin(sums[ks])])
     others = sums[ks[abs(ks - k) >= 2]]
     second, best = np.float32(others.min() if others.size else sums[k]), np.float32(sums[k])
-    lead = (second - best) / max(second, np.float32(1))
+    margin = (second - best) / max(second, np.float32(1))
     part = 0.0
     if k - 1 in ks and k + 1 in ks:
         before, after = int(sums[k - 1] - sums[k]), int(sums[k + 1] - sums[k])
         if max(before, after) > 0:
             u = (before - after) / (2 * max(before, after))
             part = u * (1 + (1 - 4 * u**2) / 4)
-    return k, top - round((k + part) * 64) / 64, lead
+    return k, top - round((k + part) * 64) / 64, margin
 
 
 def preferred_by_right_pixels(sums: I64, right_x: np.ndarray, seen: np.ndarray) -> dict[int, int]:
     """The index of the least of the sums that each right pixel of a row has a share in, of equal ones the first."""
     best: dict[int, tuple[int, int]] = {}
     for x, k in np.argwhere(seen):
-        bid = (int(sums[x, k]), int(k))
+        key = (int(sums[x, k]), int(k))
         at = int(right_x[x, k])
-        best[at] = min(best.get(at, bid), bid)
+        best[at] = min(best.get(at, key), key)
     return {at: k for at, (_, k) in best.items()}
 
 
@@ -139,10 +139,10 @@ def test_result_is_that_of_the_definition(shape: tuple[int, int], fields: dict[s
     left, right = patches(*shape, max(config.min_disparity, -25), min(config.max_disparity, 25))
     result = sgm.match(left, right)
     check(result, shape)
-    disparity_px, reasons, leads = whole_image(left, right, config)
+    disparity_px, reasons, margins = whole_image(left, right, config)
     np.testing.assert_array_equal(result.reasons, reasons)
     np.testing.assert_array_equal(result.disparity_px, disparity_px)
-    np.testing.assert_array_equal(result.confidence, agreement(disparity_px, leads))
+    np.testing.assert_array_equal(result.confidence, local_consistency(disparity_px, margins))
     if shape[0] > 10 and shape[1] > 60:
         assert (reasons == 0).mean() > 0.2 and (reasons == Reason.LEFT_RIGHT).any()
         assert (reasons == Reason.UNIQUENESS).any() or not config.uniqueness_ratio
@@ -324,8 +324,8 @@ def test_filter_alone_leaves_the_holes(kind: str) -> None:
 
 @pytest.mark.parametrize("fields", [{}, {"sgm_paths": 8}, {"min_disparity": -16}, {"fill_holes": True}])
 def test_images_without_texture_have_no_disparity(fields: dict[str, Any]) -> None:
-    grey = np.full((33, 70), 90, np.uint8)
-    result = matcher(num_disparities=32, **fields).match(grey, grey)
+    gray = np.full((33, 70), 90, np.uint8)
+    result = matcher(num_disparities=32, **fields).match(gray, gray)
     check(result, (33, 70))
     assert (result.reasons == Reason.UNIQUENESS).all()
 
@@ -382,11 +382,11 @@ HELD_OUT = {
 
 def opencv_sgbm(left: U8, right: U8, count: int) -> F32:
     sgbm = cv2.StereoSGBM.create(0, count, 3, 72, 288, 1, 0, 10, 100, 2, cv2.STEREO_SGBM_MODE_SGBM)
-    fixed = sgbm.compute(left, right)
-    return np.where(fixed < 0, np.nan, fixed / 16).astype(np.float32)
+    disparity_x16 = sgbm.compute(left, right)
+    return np.where(disparity_x16 < 0, np.nan, disparity_x16 / 16).astype(np.float32)
 
 
-def grey(path: Path) -> U8:
+def gray(path: Path) -> U8:
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
@@ -408,7 +408,7 @@ def test_half_the_errors_of_opencv_on_scenes_not_tuned_on(stereo_data: Path) -> 
     ours, filled, theirs = [], [], []
     for name, dataset in HELD_OUT.items():
         scene = MiddleburyScene(stereo_data / dataset / name)
-        left, right = grey(scene.left_path), grey(scene.right_path)
+        left, right = gray(scene.left_path), gray(scene.right_path)
         truth_px = scene.truth()
         assert truth_px is not None
         count = max(32, 16 * int(np.ceil((np.nanmax(truth_px) + 1) / 16)))

@@ -10,7 +10,7 @@ import pytest
 
 from stereo_depth_ros.core import bands as parallel
 from stereo_depth_ros.core.types import Reason
-from stereo_depth_ros.matching.filters.speckle_filter import SpeckleFilter, disparity_from_fixed
+from stereo_depth_ros.matching.filters.speckle_filter import SpeckleFilter, disparity_from_x16
 
 INVALID = -16
 
@@ -18,9 +18,9 @@ INVALID = -16
 def _blocks(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
     """Blocky disparities with noise and with irregular holes: components of all sizes and shapes."""
     coarse = rng.integers(0, 60, (height // 7 + 1, width // 9 + 1)) * 16
-    fixed = np.kron(coarse, np.ones((7, 9), int))[:height, :width] + rng.integers(-3, 4, (height, width))
-    fixed[cv2.GaussianBlur(rng.uniform(0, 1, (height, width)), (0, 0), 2) > 0.52] = INVALID
-    return fixed.astype(np.int16)
+    disparity_x16 = np.kron(coarse, np.ones((7, 9), int))[:height, :width] + rng.integers(-3, 4, (height, width))
+    disparity_x16[cv2.GaussianBlur(rng.uniform(0, 1, (height, width)), (0, 0), 2) > 0.52] = INVALID
+    return disparity_x16.astype(np.int16)
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
@@ -31,27 +31,27 @@ def test_speckles_are_those_of_opencv(size: int, difference: int, cores: int, mo
     rng = np.random.default_rng(size)
     removed = 0
     for shape in ((481, 133), (131, 77), (40, 300), (40, 300)):  # sizes change: buffers follow
-        fixed = _blocks(rng, *shape)
-        reasons = np.where(fixed == INVALID, int(Reason.NO_MATCH), 0).astype(np.uint8)
-        expected = fixed.copy()
+        disparity_x16 = _blocks(rng, *shape)
+        reasons = np.where(disparity_x16 == INVALID, int(Reason.NO_MATCH), 0).astype(np.uint8)
+        expected = disparity_x16.copy()
         cv2.filterSpeckles(expected, INVALID, size, difference)
-        speckle_filter(fixed, reasons)
+        speckle_filter(disparity_x16, reasons)
         np.testing.assert_array_equal(reasons == 0, expected != INVALID)
-        np.testing.assert_array_equal(reasons == Reason.NO_MATCH, fixed == INVALID)
+        np.testing.assert_array_equal(reasons == Reason.NO_MATCH, disparity_x16 == INVALID)
         removed += int((reasons == Reason.SPECKLE).sum())
     assert removed > 0
 
 
 def test_component_across_all_bands_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "core_count", lambda: 4)
-    fixed = np.full((256, 10), 160, np.int16)
+    disparity_x16 = np.full((256, 10), 160, np.int16)
     reasons = np.full((256, 10), Reason.NO_MATCH, np.uint8)
     reasons[:, 3] = 0  # a pole of 256 pixels over four bands
     reasons[5:15, 7] = 0
-    SpeckleFilter(255, 0)(fixed, reasons)
+    SpeckleFilter(255, 0)(disparity_x16, reasons)
     assert (reasons[:, 3] == 0).all()
     assert (reasons[5:15, 7] == Reason.SPECKLE).all()
-    SpeckleFilter(256, 0)(fixed, reasons)
+    SpeckleFilter(256, 0)(disparity_x16, reasons)
     assert (reasons[:, 3] == Reason.SPECKLE).all()
 
 
@@ -62,9 +62,9 @@ def test_size_zero_keeps_all() -> None:
 
 
 def test_disparity_from_fixed() -> None:
-    fixed = np.array([[17, -40, 32767], [8, -32768, 0]], np.int16)
+    disparity_x16 = np.array([[17, -40, 32767], [8, -32768, 0]], np.int16)
     reasons = np.array([[0, 0, 0], [Reason.BORDER, 0, Reason.TEXTURE]], np.uint8)
     out = np.zeros((2, 3), np.float32)
-    disparity_from_fixed(fixed, reasons, out)
+    disparity_from_x16(disparity_x16, reasons, out)
     nan = np.nan
     np.testing.assert_array_equal(out, np.array([[1.0625, -2.5, 2047.9375], [nan, -2048, nan]], np.float32))

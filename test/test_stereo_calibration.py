@@ -27,8 +27,8 @@ from stereo_depth_ros.core.camera_yaml import read_camera
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64, U8
-from stereo_depth_ros.datasets.stereo_images import open_pictures
-from stereo_depth_ros.plots.coverage import coverage_picture
+from stereo_depth_ros.datasets.stereo_images import open_stereo_images
+from stereo_depth_ros.plots.coverage import coverage_plot
 
 MODELS = list(RIGS)
 
@@ -110,7 +110,7 @@ def test_a_view_with_wrong_corners_is_dropped_and_named() -> None:
 
 
 def test_a_view_whose_eyes_were_not_exposed_together_is_dropped_and_named() -> None:
-    """Each eye by itself fits: the board moved between the two pictures."""
+    """Each camera by itself fits: the board moved between the two images."""
     views, later = exact_views(FISHEYE, 12, 0.1), exact_views(FISHEYE, 12, 0.1, seed=9)
     views[3] = replace(views[3], right=later[3].right)
     found = calibrate(views, "equidistant")
@@ -142,19 +142,19 @@ def test_views_that_are_one_view() -> None:
 
 
 def test_a_fisheye_whose_views_stay_in_the_middle_is_rectified_all_the_same() -> None:
-    """With k4 free these lenses fold back within the picture, and have no rectified picture."""
+    """With k4 free these lenses fold back within the image, and have no rectified image."""
     for seed in (0, 1, 5):
         found = calibrate(exact_views(FISHEYE, 6, 0.2, seed + 100), "equidistant")
         assert any("do not determine" in text and "k4" in text for text in found.warnings)
         assert (found.left.D[3], found.right.D[3], found.left.sigmas[7]) == (0, 0, 0)
         assert found.left.K[0, 0] == pytest.approx(FISHEYE.left[0], abs=4 * found.left.sigmas[0])
         assert found.rig.f_px == pytest.approx(125.6, rel=0.03)  # of the exact cameras
-        # Corners of 0.2 px noise in each eye, shown by 125.6 / 174 of their size
+        # Corners of 0.2 px noise in each camera, shown by 125.6 / 174 of their size
         assert found.epipolar_rms_px == pytest.approx(0.2 * np.sqrt(2) * 125.6 / 174, rel=0.25)
 
 
 def test_a_fisheye_that_cannot_be_rectified() -> None:
-    """r = theta (1 - 0.4 theta^2) turns at theta = 0.913, 104 px from the centre of a picture of 400 x 300."""
+    """r = theta (1 - 0.4 theta^2) turns at theta = 0.913, 104 px from the center of an image of 400 x 300."""
     lens = np.array([171.0, 171, 199.5, 149.5, -0.4, 0, 0, 0])
     with pytest.raises(CalibrationError, match=r"left: beyond 104 px .* folds back.* up to 200 px away: it cannot be"):
         check_edges(Estimate("equidistant", (lens, lens), FISHEYE.rig, np.zeros((0, 6))), SIZE)
@@ -181,7 +181,7 @@ def test_views_of_different_parts_of_a_board() -> None:
 
 
 def test_pictures_that_do_not_belong_together() -> None:
-    """Each right picture is that of the next pair."""
+    """Each right image is that of the next pair."""
     views = exact_views(RIGS["plumb_bob"], 10, 0.1)
     views = [replace(view, right=views[(k + 1) % len(views)].right) for k, view in enumerate(views)]
     with pytest.raises(CalibrationError, match=r"do not belong together|moved between the two"):
@@ -190,14 +190,14 @@ def test_pictures_that_do_not_belong_together() -> None:
 
 def test_exchanged_eyes() -> None:
     views = [replace(view, left=view.right, right=view.left) for view in exact_views(FISHEYE, 10, 0.1)]
-    with pytest.raises(CalibrationError, match=r"left of the left one: exchange the pictures"):
+    with pytest.raises(CalibrationError, match=r"left of the left one: exchange the images"):
         calibrate(views, "equidistant")
 
 
 def test_square_in_millimetres() -> None:
     views = exact_views(FISHEYE, 10, 0.0)
     views[0].left.board_m[:] *= 1000  # all views have this array
-    with pytest.raises(CalibrationError, match=r"apart, outside .* given in metres, 25 mm are 0\.025"):
+    with pytest.raises(CalibrationError, match=r"apart, outside .* given in meters, 25 mm are 0\.025"):
         calibrate(views, "equidistant")
 
 
@@ -209,7 +209,7 @@ def test_files_are_read_back_as_they_are(tmp_path: Path) -> None:
         for field in ("K", "D", "R", "P"):
             np.testing.assert_array_equal(getattr(read, field), getattr(camera, field))
         assert (read.width, read.height, read.distortion_model) == (*SIZE, "equidistant")
-    assert found.rig.f_px > 100  # of a picture that shows something
+    assert found.rig.f_px > 100  # of an image that shows something
     rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
     assert rig.baseline_m == pytest.approx(found.baseline_m, rel=1e-9)
     # A fisheye's P has the baseline, and a rotation beside it
@@ -227,16 +227,16 @@ def test_files_that_cannot_be_written(tmp_path: Path) -> None:
 
 def test_coverage_picture_shows_corners_and_bars() -> None:
     found = calibrate(exact_views(FISHEYE, 8, 0.2), "equidistant")
-    picture = coverage_picture(found)
-    assert picture.dtype == np.uint8
-    assert picture.shape[1] > 1100
-    blank = coverage_picture(replace(found, views=found.views[:1]))
-    assert np.count_nonzero((picture != blank).any(axis=2)) > 2000
+    image = coverage_plot(found)
+    assert image.dtype == np.uint8
+    assert image.shape[1] > 1100
+    blank = coverage_plot(replace(found, views=found.views[:1]))
+    assert np.count_nonzero((image != blank).any(axis=2)) > 2000
 
 
 def board_views(folder: Path) -> FoundViews:
     board = create_board("chessboard", (9, 6), 0.025)
-    return find_views(open_pictures(folder), board, lambda size: create_board("chessboard", size, 0.025))
+    return find_views(open_stereo_images(folder), board, lambda size: create_board("chessboard", size, 0.025))
 
 
 @pytest.fixture(scope="module")
@@ -260,8 +260,8 @@ def test_the_chessboards_of_opencv_as_opencv_solves_them(stereo_data: Path, ches
     """The same corners by cv2.stereoCalibrate: the same minimum."""
     views = board_views(stereo_data / "opencv_samples" / "chessboard_stereo").views
     board = [view.left.board_m.astype(np.float32) for view in views]
-    left, right = ([getattr(view, eye).image_px.astype(np.float32) for view in views] for eye in ("left", "right"))
-    one, other = (cv2.calibrateCamera(board, eye, (640, 480), None, None)[1:3] for eye in (left, right))
+    left, right = ([getattr(view, side).image_px.astype(np.float32) for view in views] for side in ("left", "right"))
+    one, other = (cv2.calibrateCamera(board, side, (640, 480), None, None)[1:3] for side in (left, right))
     flags = cv2.CALIB_USE_INTRINSIC_GUESS
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-12)
     rms, K, _, K_right, _, R, T, *_ = cv2.stereoCalibrate(
@@ -285,13 +285,13 @@ def test_a_fisheye_rig(stereo_data: Path) -> None:
     assert scene is not None
     large = cv2.resize(scene, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     matches = match_rows(
-        *(_rectified(np.asarray(large[:, eye * 640 :][:, :640], np.uint8), found.rig, eye) for eye in (0, 1))
+        *(_rectified(np.asarray(large[:, side * 640 :][:, :640], np.uint8), found.rig, side) for side in (0, 1))
     )
     assert len(matches) > 200
     assert matches.median_px <= 0.4
 
 
-def _rectified(picture: U8, rig: StereoRig, eye: int) -> U8:
-    c = (rig.left, rig.right)[eye]
+def _rectified(image: U8, rig: StereoRig, side: int) -> U8:
+    c = (rig.left, rig.right)[side]
     maps = cv2.fisheye.initUndistortRectifyMap(c.K, c.D, c.R, c.P[:, :3], (c.width, c.height), cv2.CV_32FC1)
-    return np.asarray(cv2.remap(picture, *maps, cv2.INTER_LINEAR), np.uint8)
+    return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), np.uint8)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of pictures of folders and bags, before there is a calibration."""
+"""Pairs of images of folders and bags, before there is a calibration."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from stereo_bags import HEIGHT, WIDTH, sequence, write_odd_bag
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.core.errors import BagError, TopicError
-from stereo_depth_ros.datasets.stereo_images import PicturePair, open_pictures
+from stereo_depth_ros.datasets.stereo_images import ImagePair, open_stereo_images
 from stereo_depth_ros.messages.image import image_message
 
 
 def write(folder: Path, names: list[str]) -> Path:
-    """Pictures that hold their number."""
+    """Images that hold their number."""
     for number, name in enumerate(names):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -27,7 +27,7 @@ def write(folder: Path, names: list[str]) -> Path:
     return folder
 
 
-def values(pairs: list[PicturePair]) -> list[tuple[str, int, int]]:
+def values(pairs: list[ImagePair]) -> list[tuple[str, int, int]]:
     return [(pair.name, int(pair.left[0, 0]), int(pair.right[0, 0])) for pair in pairs]
 
 
@@ -43,28 +43,28 @@ def values(pairs: list[PicturePair]) -> list[tuple[str, int, int]]:
     ],
 )
 def test_names_of_eyes(tmp_path: Path, names: list[str]) -> None:
-    pictures = open_pictures(write(tmp_path, names))
-    assert len(pictures) == 2
-    assert not pictures.dense
-    assert [found[1:] for found in values(list(pictures))] == [(10, 12), (11, 13)]
+    images = open_stereo_images(write(tmp_path, names))
+    assert len(images) == 2
+    assert not images.dense
+    assert [found[1:] for found in values(list(images))] == [(10, 12), (11, 13)]
 
 
 def test_patterns(tmp_path: Path) -> None:
     names = ["a/x1.png", "a/x2.png", "b/y2.png", "b/y1.png", "b/z1.png"]
-    pictures = open_pictures(write(tmp_path, names), "a/x*.png", "b/y*.png")
-    assert values(list(pictures)) == [("x1.png", 10, 13), ("x2.png", 11, 12)]
+    images = open_stereo_images(write(tmp_path, names), "a/x*.png", "b/y*.png")
+    assert values(list(images)) == [("x1.png", 10, 13), ("x2.png", 11, 12)]
 
 
 def test_a_picture_without_a_partner_is_told(tmp_path: Path) -> None:
-    pictures = open_pictures(write(tmp_path, ["left1.png", "left2.png", "right1.png"]))
-    assert len(pictures) == 1
-    assert pictures.warnings == [f"{tmp_path / 'left2.png'} has no right picture beside it: it is left out"]
+    images = open_stereo_images(write(tmp_path, ["left1.png", "left2.png", "right1.png"]))
+    assert len(images) == 1
+    assert images.warnings == [f"{tmp_path / 'left2.png'} has no right image beside it: it is left out"]
 
 
 def test_frame_numbers_do_not_name_a_camera(tmp_path: Path) -> None:
     """image_0.png in left/ is frame 0, not the left one of two cameras."""
     names = [f"{side}/image_{number}.png" for side in ("left", "right") for number in range(3)]
-    assert [found[1:] for found in values(list(open_pictures(write(tmp_path, names))))] == [
+    assert [found[1:] for found in values(list(open_stereo_images(write(tmp_path, names))))] == [
         (10, 13),
         (11, 14),
         (12, 15),
@@ -73,7 +73,7 @@ def test_frame_numbers_do_not_name_a_camera(tmp_path: Path) -> None:
 
 def test_pictures_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     names = ["left1.png", "left2.png", "left10.png", "right1.png", "right2.png", "right10.png"]
-    assert [found[0] for found in values(list(open_pictures(write(tmp_path, names))))] == [
+    assert [found[0] for found in values(list(open_stereo_images(write(tmp_path, names))))] == [
         "left1.png",
         "left2.png",
         "left10.png",
@@ -82,52 +82,50 @@ def test_pictures_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
 
 def test_what_to_do_without_names_of_cameras_is_told(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="or give --left and --right patterns"):
-        open_pictures(write(tmp_path, ["left1.png", "right2.png"]))
-    with pytest.raises(
-        BagError, match=r"a1\.png is a left and a right picture: give patterns that no file matches both"
-    ):
-        open_pictures(write(tmp_path / "same", ["a1.png", "a2.png"]), "a*.png", "a*.png")
+        open_stereo_images(write(tmp_path, ["left1.png", "right2.png"]))
+    with pytest.raises(BagError, match=r"a1\.png is a left and a right image: give patterns that no file matches both"):
+        open_stereo_images(write(tmp_path / "same", ["a1.png", "a2.png"]), "a*.png", "a*.png")
 
 
 def test_colour_pictures_come_grey(tmp_path: Path) -> None:
     for name in ("left1.png", "right1.png"):
         cv2.imwrite(str(tmp_path / name), np.full((4, 6, 3), (0, 0, 200), np.uint8))
-    (pair,) = open_pictures(tmp_path)
+    (pair,) = open_stereo_images(tmp_path)
     assert pair.left.shape == (4, 6)
     assert abs(int(pair.left[0, 0]) - 60) <= 1  # 0.299 of red
 
 
 def test_folders_without_pairs(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="does not exist: name a folder of pictures, or a bag"):
-        open_pictures(tmp_path / "none")
-    with pytest.raises(BagError, match=r"no pictures of a left and a right eye: name them left\*\.png"):
-        open_pictures(tmp_path)
-    with pytest.raises(BagError, match=r"2 pictures as left1\.png and none of the right eye"):
-        open_pictures(write(tmp_path / "one", ["left1.png", "left2.png"]))
-    with pytest.raises(BagError, match=r"no left picture has the number of a right one"):
-        open_pictures(write(tmp_path / "odd", ["left1.png", "right2.png"]))
+    with pytest.raises(BagError, match="does not exist: name a folder of images, or a bag"):
+        open_stereo_images(tmp_path / "none")
+    with pytest.raises(BagError, match=r"no images of a left and a right camera: name them left\*\.png"):
+        open_stereo_images(tmp_path)
+    with pytest.raises(BagError, match=r"2 images as left1\.png and none of the right camera"):
+        open_stereo_images(write(tmp_path / "one", ["left1.png", "left2.png"]))
+    with pytest.raises(BagError, match=r"no left image has the number of a right one"):
+        open_stereo_images(write(tmp_path / "odd", ["left1.png", "right2.png"]))
     with pytest.raises(BagError, match="give both patterns, or none"):
-        open_pictures(tmp_path / "one", "left*.png")
+        open_stereo_images(tmp_path / "one", "left*.png")
 
 
 def test_bag(tmp_path: Path) -> None:
     """Without partner, late by up to 5 ms, and with camera infos that are not looked at."""
     write_odd_bag(tmp_path / "b.mcap", 4, without_right=[1], right_late_ns=2_000_000)
-    pictures = open_pictures(tmp_path / "b.mcap")
-    assert pictures.dense
-    pairs = list(pictures)
+    images = open_stereo_images(tmp_path / "b.mcap")
+    assert images.dense
+    pairs = list(images)
     assert len(pairs) == 3
     assert pairs[0].left.shape == (HEIGHT, WIDTH)
     np.testing.assert_array_equal(pairs[0].left, next(iter(sequence(1))).pair.left.pixels)
     assert pairs[0].name.endswith(" s")
-    assert any("1 images have no partner within 5 ms" in text for text in pictures.warnings)
+    assert any("1 images have no partner within 5 ms" in text for text in images.warnings)
 
 
 def test_rectified_bags_are_refused(tmp_path: Path) -> None:
     types, frame = RosbagsTypes(), next(iter(sequence(1)))
     with BagWriter(tmp_path / "r.mcap") as bag:
-        for eye, image in (("left", frame.pair.left), ("right", frame.pair.right)):
+        for side, image in (("left", frame.pair.left), ("right", frame.pair.right)):
             message = image_message(types, image.pixels, "mono8", image.stamp_ns, image.frame_id)
-            bag.write(f"/{eye}/image_rect", message, image.stamp_ns)
+            bag.write(f"/{side}/image_rect", message, image.stamp_ns)
     with pytest.raises(TopicError, match="rectified already: calibrate with raw images"):
-        open_pictures(tmp_path / "r.mcap")
+        open_stereo_images(tmp_path / "r.mcap")

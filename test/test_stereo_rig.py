@@ -98,7 +98,7 @@ def test_errors_name_the_topic(rig: StereoRig) -> None:
         StereoRig.from_infos(left, right)
 
 
-@pytest.mark.parametrize("eye", ["left", "right"])
+@pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
@@ -115,25 +115,25 @@ def test_errors_name_the_topic(rig: StereoRig) -> None:
         ({"R": np.full((3, 3), np.inf)}, "R has a value that is not finite"),
         ({"P": np.full((3, 4), -np.inf)}, "P has a value that is not finite"),
         ({"K": np.diag([400.0, -410.0, 1.0])}, "K has focal lengths 400 and -410 px"),
-        ({"P": np.eye(3, 4) * [[-1], [1], [1]]}, "P has focal lengths -1 and 1 px"),
+        ({"P": np.identity(4)[:3] * [[-1], [1], [1]]}, "P has focal lengths -1 and 1 px"),
         ({"K": np.array([[400.0, 2.5, 150], [0, 410, 97], [0, 0, 1]])}, r"K = .* is not of the form"),
         ({"P": np.array([[400.0, 0, 150, 0], [0, 410, 97, 0], [0, 0, 1, 0.3]])}, r"P = .* is not of the form"),
         ({"R": np.diag([1.0, 1.0, 1.01])}, r"R = .* is not a rotation .*0.0201, limit 0.001"),
         ({"R": np.diag([1.0, 1.0, -1.0])}, r"R = .* is not a rotation"),
     ],
 )
-def test_refused_cameras(rig: StereoRig, eye: str, changes: dict[str, Any], match: str) -> None:
-    broken = replace(getattr(rig, eye), **changes)
-    with pytest.raises(CalibrationError, match=f"{eye} camera: {match}"):
-        replace(rig, **{eye: broken})
+def test_refused_cameras(rig: StereoRig, side: str, changes: dict[str, Any], match: str) -> None:
+    broken = replace(getattr(rig, side), **changes)
+    with pytest.raises(CalibrationError, match=f"{side} camera: {match}"):
+        replace(rig, **{side: broken})
 
 
 @pytest.mark.parametrize(
-    ("eye", "at", "value", "match"),
+    ("side", "at", "value", "match"),
     [
         ("right", (0, 3), 48.0, r"P\[0,3\] = 48 is positive.*swapped"),
         ("right", (0, 3), 0.0, r"P\[0,3\] = 0 is no baseline"),
-        ("right", (0, 3), -48000.0, r"baseline 120 m is outside 0.001..10 m: units are metres"),
+        ("right", (0, 3), -48000.0, r"baseline 120 m is outside 0.001..10 m: units are meters"),
         ("right", (0, 3), -0.12, r"baseline 0.0003 m is outside"),
         ("right", (1, 3), -41.0, r"P\[1,3\] = -41 is a vertical baseline of -0.1 m"),
         ("left", (0, 3), -48.0, r"left camera: P\[:2, 3\] = \[-48.0, 0.0\], it is 0 .*swapped"),
@@ -142,10 +142,10 @@ def test_refused_cameras(rig: StereoRig, eye: str, changes: dict[str, Any], matc
         ("right", (1, 2), 97.02, "cy of P is 97 px in left camera and 97.02 px in right camera, limit 0.01 px"),
     ],
 )
-def test_refused_pairs(rig: StereoRig, eye: str, at: tuple[int, int], value: float, match: str) -> None:
-    camera: CameraModel = getattr(rig, eye)
+def test_refused_pairs(rig: StereoRig, side: str, at: tuple[int, int], value: float, match: str) -> None:
+    camera: CameraModel = getattr(rig, side)
     with pytest.raises(CalibrationError, match=match):
-        replace(rig, **{eye: replace(camera, P=changed(camera.P, at, value))})
+        replace(rig, **{side: replace(camera, P=changed(camera.P, at, value))})
 
 
 @pytest.mark.parametrize(("at", "value"), [((0, 0), 400.3), ((1, 1), 410.4), ((1, 2), 97.009), ((0, 3), -4000.0)])
@@ -171,7 +171,7 @@ def test_image_must_have_the_size_of_the_infos(rig: StereoRig) -> None:
 
 def test_wrong_number_of_values(rig: StereoRig) -> None:
     with pytest.raises(CalibrationError, match="P has 9 values, it takes 3 x 4"):
-        replace(rig.left, P=np.eye(3))
+        replace(rig.left, P=np.identity(3))
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_refused_calibrations(changes: dict[str, Any], match: str) -> None:
     K = np.array([[400.0, 0, 150], [0, 410, 97], [0, 0, 1]])
     calibration: dict[str, Any] = {
         "K_left": K, "D_left": [], "K_right": K, "D_right": np.zeros(4),
-        "R": np.eye(3), "T": [-0.12, 0.0, 0.0], "size": SIZE,
+        "R": np.identity(3), "T": [-0.12, 0.0, 0.0], "size": SIZE,
     }  # fmt: skip
     assert StereoRig.from_calibration(**calibration).baseline_m == pytest.approx(0.12)
     with pytest.raises(CalibrationError, match=match):

@@ -9,21 +9,21 @@ import pytest
 
 from stereo_depth_ros.core.types import U8, Reason
 from stereo_depth_ros.matching.selection.summed_costs import (
-    NO_BID,
+    NO_KEY,
     U32,
-    least_bid,
+    least_key,
     left_right_row,
-    make_bids,
-    outbid,
-    second_bid,
+    lower_keys,
+    make_keys,
+    second_key,
     subpixel,
 )
 
 
 def bids_of(costs: list[int | None]) -> U32:
     """Bids of summed costs; None makes no bid."""
-    bids = [NO_BID if cost is None else (cost << 16) + k for k, cost in enumerate(costs)]
-    return np.array(bids, np.uint32)
+    keys = [NO_KEY if cost is None else (cost << 16) + k for k, cost in enumerate(costs)]
+    return np.array(keys, np.uint32)
 
 
 def test_bids_hold_the_sum_and_the_index() -> None:
@@ -31,23 +31,23 @@ def test_bids_hold_the_sum_and_the_index() -> None:
     totals = rng.integers(0, 7 * 255 + 1, 4096).astype(np.uint16)  # eight paths, all disparities
     path = rng.integers(0, 256, 4098).astype(np.uint8)
     totals[-1], path[-2] = 7 * 255, 255
-    bids = np.empty(4096, np.uint32)
-    make_bids(totals, path, np.arange(4096, dtype=np.uint32), bids)
-    np.testing.assert_array_equal(bids >> 16, totals.astype(int) + path[1:-1])
-    np.testing.assert_array_equal(bids & 0xFFFF, np.arange(4096))
+    keys = np.empty(4096, np.uint32)
+    make_keys(totals, path, np.arange(4096, dtype=np.uint32), keys)
+    np.testing.assert_array_equal(keys >> 16, totals.astype(int) + path[1:-1])
+    np.testing.assert_array_equal(keys & 0xFFFF, np.arange(4096))
 
 
 def test_of_equal_costs_the_first_wins() -> None:
-    assert least_bid(bids_of([9, 4, None, 4, 8])) == (4 << 16) + 1
-    assert least_bid(bids_of([None, None])) == NO_BID
+    assert least_key(bids_of([9, 4, None, 4, 8])) == (4 << 16) + 1
+    assert least_key(bids_of([None, None])) == NO_KEY
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 16, 37])
 def test_second_is_at_least_two_away(count: int) -> None:
-    bids = bids_of([int(cost) for cost in np.random.default_rng(count).integers(0, 50, count)])
+    keys = bids_of([int(cost) for cost in np.random.default_rng(count).integers(0, 50, count)])
     for best in range(count):
-        others = [bids[k] for k in range(count) if abs(k - best) >= 2]
-        assert second_bid(bids, np.arange(count, dtype=np.uint32), best) == min(others, default=NO_BID)
+        others = [keys[k] for k in range(count) if abs(k - best) >= 2]
+        assert second_key(keys, np.arange(count, dtype=np.uint32), best) == min(others, default=NO_KEY)
 
 
 @pytest.mark.parametrize(
@@ -83,15 +83,15 @@ def test_no_subpixel_without_both_neighbours(costs: list[int | None], best: int)
 
 def test_right_pixels_keep_the_best_bid() -> None:
     right = bids_of([4, None, 6, 6])
-    outbid(bids_of([5, 5, 5, None]), right)
+    lower_keys(bids_of([5, 5, 5, None]), right)
     np.testing.assert_array_equal(right, bids_of([4, 5, 5, 6]))
 
 
 @pytest.mark.parametrize(("tolerance", "rejected"), [(1, [False, True, True]), (2, [False, False, True])])
 def test_left_right_check(tolerance: int, rejected: list[bool]) -> None:
     best = np.array([2, 3, 4, 5], np.uint16)  # right pixels 2, 4, 6, 8
-    right_bids = np.full(9, NO_BID, np.uint32)
-    right_bids[[2, 4, 6]] = [(7 << 16) + 3, (7 << 16) + 1, (7 << 16) + 7]  # 1, 2 and 3 away
+    right_keys = np.full(9, NO_KEY, np.uint32)
+    right_keys[[2, 4, 6]] = [(7 << 16) + 3, (7 << 16) + 1, (7 << 16) + 7]  # 1, 2 and 3 away
     reasons: U8 = np.array([0, 0, 0, Reason.BORDER], np.uint8)
-    left_right_row(best, right_bids, tolerance, reasons)
+    left_right_row(best, right_keys, tolerance, reasons)
     np.testing.assert_array_equal(reasons, [*(Reason.LEFT_RIGHT * no for no in rejected), Reason.BORDER])

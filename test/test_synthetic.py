@@ -24,7 +24,7 @@ from stereo_depth_ros.synthetic.rays import depth_and_shadow, pixel_rays, render
 from stereo_depth_ros.synthetic.rig import R_RIGHT_LEFT
 
 WIDTH, HEIGHT = 161, 120
-ORIGIN, STRAIGHT = np.zeros(3), np.eye(3)
+ORIGIN, STRAIGHT = np.zeros(3), np.identity(3)
 P = np.array([[150.0, 0.0, 70.0, 0.0], [0.0, 140.0, 50.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 BASELINE_M = 0.12
 FLAT = Texture(mean=120.0, contrast=0.0)
@@ -36,7 +36,7 @@ def room() -> SyntheticSequence:
 
 
 def depth_of(*primitives: Rectangle | Sphere | Cylinder) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """Depth and shadow for a straight camera with projection P, the other eye a baseline to its right."""
+    """Depth and shadow for a straight camera with projection P, the other camera a baseline to its right."""
     depth_m, shadow = np.empty((HEIGHT, WIDTH)), np.empty((HEIGHT, WIDTH), np.bool_)
     other = np.array([BASELINE_M, 0.0, 0.0])
     packed = Scene(primitives, seed=1).packed()
@@ -143,7 +143,7 @@ def test_rig_is_verged_and_asymmetric_and_its_rows_agree(room: SyntheticSequence
     rig = room.rig
     assert rig.f_px != rig.fy_px and rig.cx_left != rig.cx_right and not np.allclose(rig.left.D, rig.right.D)
     assert math.degrees(math.asin(-R_RIGHT_LEFT[2, 0])) == pytest.approx(2.0, abs=0.01)
-    world = np.array([[-0.8, 0.3, 2.2], [0.9, -0.7, 3.1], [0.1, 0.6, 1.4], [-0.2, -0.1, 7.0]])  # raw left frame, metres
+    world = np.array([[-0.8, 0.3, 2.2], [0.9, -0.7, 3.1], [0.1, 0.6, 1.4], [-0.2, -0.1, 7.0]])  # raw left frame, meters
     R_right_left = rig.right.R.T @ rig.left.R
     center = rig.left.R.T @ np.array([rig.baseline_m, 0, 0])
     pixels = []
@@ -254,13 +254,13 @@ def test_point_outside_the_raw_right_image_counts_as_occluded() -> None:
 def test_right_camera_is_darker_and_noise_has_its_deviation() -> None:
     wall = Rectangle((-99.0, -99.0, 4.0), (198.0, 0.0, 0.0), (0.0, 198.0, 0.0), FLAT)
     pair = SyntheticSequence(1, WIDTH, HEIGHT, scene=Scene((wall,), seed=1))[0].pair
-    # 19320 pixels: the mean is known to 0.005 grey levels, the deviation to 0.5 %
+    # 19320 pixels: the mean is known to 0.005 gray levels, the deviation to 0.5 %
     assert pair.left.pixels.mean() == pytest.approx(120.0, abs=0.03)
     assert pair.right.pixels.mean() == pytest.approx(0.97 * 120.0, abs=0.03)
     deviation = math.sqrt(1.5**2 / 6 + 1 / 12)  # triangular noise and rounding
     assert pair.left.pixels.std() == pytest.approx(deviation, rel=0.03)
     noise = pair.left.pixels - pair.left.pixels.mean(), pair.right.pixels - pair.right.pixels.mean()
-    assert abs((noise[0] * noise[1]).mean()) < 0.02  # the eyes' noise is independent
+    assert abs((noise[0] * noise[1]).mean()) < 0.02  # the cameras' noise is independent
     assert abs((noise[0][:, 1:] * noise[0][:, :-1]).mean()) < 0.02
 
 
@@ -326,17 +326,17 @@ def test_bag_holds_the_sequence(room: SyntheticSequence, tmp_path: Path) -> None
     by_topic: dict[str, list[object]] = {}
     for message, content in messages:
         by_topic.setdefault(message.topic, []).append(content)
-    eyes = [f"/{side}/{name}" for side in ("left", "right") for name in ("camera_info", "image_raw")]
-    assert sorted(by_topic) == [*eyes, "/truth/disparity"]
+    sides = [f"/{side}/{name}" for side in ("left", "right") for name in ("camera_info", "image_raw")]
+    assert sorted(by_topic) == [*sides, "/truth/disparity"]
     assert {len(contents) for contents in by_topic.values()} == {4}
 
     rig = StereoRig.from_infos(by_topic["/left/camera_info"][0], by_topic["/right/camera_info"][0])
     np.testing.assert_array_equal(rig.right.P, room.rig.right.P)
     np.testing.assert_array_equal(rig.left.D, room.rig.left.D)
     for i, frame in enumerate(room):
-        for side, eye in (("left", frame.pair.left), ("right", frame.pair.right)):
+        for side, raw in (("left", frame.pair.left), ("right", frame.pair.right)):
             image = by_topic[f"/{side}/image_raw"][i]
-            assert bytes(image.data) == eye.pixels.tobytes() and image.header.frame_id == eye.frame_id
+            assert bytes(image.data) == raw.pixels.tobytes() and image.header.frame_id == raw.frame_id
         truth = by_topic["/truth/disparity"][i]
         assert truth.header.stamp.nanosec == i * 100_000_000 and truth.delta_d == TRUTH_STEP_PX
         published = published_disparity(truth)

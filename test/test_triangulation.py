@@ -24,7 +24,7 @@ from stereo_depth_ros.geometry.triangulation import (
     triangulate_optimal,
 )
 
-P_LEFT = K_LEFT @ np.eye(3, 4)
+P_LEFT = K_LEFT @ np.identity(4)[:3]
 P_RIGHT = K_RIGHT @ np.column_stack((POSE.R, POSE.t))
 EXACT = views(50)
 NOISY = views(50, noise_px=0.8, seed=3)
@@ -130,7 +130,7 @@ def homogeneous_px(X: F64, P: F64) -> F64:
 
 def test_optimal_points_do_not_depend_on_the_frame() -> None:
     """Cameras and points moved by a homography of space see the same."""
-    H = np.eye(4) + 0.2 * np.random.default_rng(4).standard_normal((4, 4))
+    H = np.identity(4) + 0.2 * np.random.default_rng(4).standard_normal((4, 4))
     there = triangulate_optimal(P_LEFT @ H, P_RIGHT @ H, NOISY.left_px, NOISY.right_px) @ H.T
     here = triangulate_optimal(P_LEFT, P_RIGHT, NOISY.left_px, NOISY.right_px)
     np.testing.assert_allclose(metric(there), metric(here), rtol=1e-6)
@@ -150,7 +150,7 @@ def test_fundamental_matrix_of_cameras() -> None:
 
 
 def test_parallax() -> None:
-    pose = RelativePose(np.eye(3), np.array([-0.4, 0, 0]))
+    pose = RelativePose(np.identity(3), np.array([-0.4, 0, 0]))
     points = np.array([[0.2, 0, 3.0, 1], [0.0, 0, 1, 0], [0.1, 0, 0, 1]])
     angles = parallax(points, pose)
     assert angles[0] == pytest.approx(2 * np.arctan(0.2 / 3))
@@ -164,8 +164,8 @@ def test_matches_that_have_no_point() -> None:
     X = triangulate_linear(P_LEFT, P_RIGHT, holed, EXACT.right_px)
     assert np.isnan(X[3]).all()
     assert np.isfinite(np.delete(X, 3, axis=0)).all()
-    # Both rays along the line of the centres
-    left, right = project(POSE.right_centre[None], K_LEFT), project(POSE.t[None], K_RIGHT)
+    # Both rays along the line of the centers
+    left, right = project(POSE.right_center[None], K_LEFT), project(POSE.t[None], K_RIGHT)
     assert np.isnan(triangulate_linear(P_LEFT, P_RIGHT, left, right)).all()
 
 

@@ -21,7 +21,7 @@ from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64, U8, Frame, StereoPair
 from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
 from stereo_depth_ros.datasets.euroc import EurocDataset
-from stereo_depth_ros.datasets.stereo_images import open_pictures
+from stereo_depth_ros.datasets.stereo_images import open_stereo_images
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.epipolar import fundamental_from_pose, sampson_distance
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
@@ -97,7 +97,7 @@ def test_no_direction_has_less_distortion() -> None:
 def test_a_rectified_pair_stays() -> None:
     found = rectify_uncalibrated(RECTIFIED, SIZE)
     for H in (found.H_left, found.H_right):
-        np.testing.assert_allclose(H, np.eye(3), atol=1e-4)
+        np.testing.assert_allclose(H, np.identity(3), atol=1e-4)
     assert found.distortion < 1e-12
 
 
@@ -117,19 +117,19 @@ def test_shape_of_a_shear() -> None:
 
 @pytest.mark.parametrize("t", [[0.02, 0.01, 0.3], [-0.3, 0.0, -0.6]])
 def test_epipoles_in_the_picture(t: list[float]) -> None:
-    F = fundamental_from_pose(RelativePose(np.eye(3), np.array(t)), K_LEFT, K_RIGHT)
-    with pytest.raises(CalibrationError, match=r"epipole is at \(.*\) px, in the picture of 740x480.*move the camera"):
+    F = fundamental_from_pose(RelativePose(np.identity(3), np.array(t)), K_LEFT, K_RIGHT)
+    with pytest.raises(CalibrationError, match=r"epipole is at \(.*\) px, in the image of 740x480.*move the camera"):
         rectify_uncalibrated(F, SIZE)
 
 
 def test_epipoles_near_to_the_picture() -> None:
-    F = fundamental_from_pose(RelativePose(np.eye(3), np.array([-0.3, 0.0, 0.3])), K_LEFT, K_LEFT)
+    F = fundamental_from_pose(RelativePose(np.identity(3), np.array([-0.3, 0.0, 0.3])), K_LEFT, K_LEFT)
     with pytest.raises(CalibrationError, match=r"enlarged .* times more at one corner than at another, limit 4"):
         rectify_uncalibrated(F, SIZE)
 
 
 def test_no_fundamental_matrix() -> None:
-    for matrix in (np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan), np.ones((2, 2)), np.ones((3, 3))):
+    for matrix in (np.identity(3), np.zeros((3, 3)), np.full((3, 3), np.nan), np.ones((2, 2)), np.ones((3, 3))):
         with pytest.raises(CalibrationError, match="not those of a fundamental matrix, which has rank 2"):
             rectify_uncalibrated(matrix, SIZE)
 
@@ -142,13 +142,13 @@ def noise_pair() -> tuple[U8, U8]:
 
 
 def test_front_end_of_the_path() -> None:
-    """A pair whose right picture is lower and turned: the path straightens it and finds the disparity it was given."""
+    """A pair whose right image is lower and turned: the path straightens it and finds the disparity it was given."""
     left, _ = noise_pair()
     turn = cv2.Rodrigues(np.array([0.004, 0.0, 0.03]))[0]
     K = np.array([[400.0, 0, 239.5], [0, 400, 159.5], [0, 0, 1]])
     tilt = K @ turn @ np.linalg.inv(K) @ np.array([[1.0, 0, -11], [0, 1, 0], [0, 0, 1]])
     right = np.asarray(cv2.warpPerspective(left, tilt, (480, 320), flags=cv2.INTER_CUBIC), np.uint8)
-    rig = UncalibratedRig.from_homographies(np.eye(3), np.linalg.inv(K @ turn @ np.linalg.inv(K)), (480, 320))
+    rig = UncalibratedRig.from_homographies(np.identity(3), np.linalg.inv(K @ turn @ np.linalg.inv(K)), (480, 320))
     config = PipelineConfig(matching=MatchingConfig(min_disparity=-16, num_disparities=48, correlation_window_size=9))
     result = StereoPipeline(config, rig).process(StereoPair(Frame(left, 0, "left"), Frame(right, 0, "right")))
     inside = result.disparity.disparity_px[40:-40, 80:-40]
@@ -163,26 +163,28 @@ def test_front_end_of_the_path() -> None:
 def test_distortion_is_removed_first() -> None:
     """Raw points of both lenses, through the maps' inverse, against the homographies of the undistorted ones."""
     D = np.array([-0.2, 0.05, 0.001, -0.0007, 0.0])
-    cameras = tuple(CameraModel(*SIZE, "plumb_bob", K, D, np.eye(3), np.eye(3, 4)) for K in (K_LEFT, K_RIGHT))
+    cameras = tuple(
+        CameraModel(*SIZE, "plumb_bob", K, D, np.identity(3), np.identity(4)[:3]) for K in (K_LEFT, K_RIGHT)
+    )
     rig = UncalibratedRig.from_homographies(FOUND.H_left, FOUND.H_right, SIZE, (cameras[0], cameras[1]))
     points, none = views(50).points_m, np.zeros(3)
-    for eye, K, moved in ((rig.left, K_LEFT, points), (rig.right, K_RIGHT, points @ POSE.R.T + POSE.t)):
+    for side, K, moved in ((rig.left, K_LEFT, points), (rig.right, K_RIGHT, points @ POSE.R.T + POSE.t)):
         raw = np.asarray(cv2.projectPoints(moved, none, none, K, D)[0][:, 0], np.float64)
-        through = rectified_points(eye.distortion_model, eye.K, eye.D, eye.R, eye.P[:, :3], raw)
+        through = rectified_points(side.distortion_model, side.K, side.D, side.R, side.P[:, :3], raw)
         ideal = moved @ K.T
-        H = FOUND.H_left if eye is rig.left else FOUND.H_right
+        H = FOUND.H_left if side is rig.left else FOUND.H_right
         expected = cv2.perspectiveTransform((ideal[:, :2] / ideal[:, 2:])[:, None], H)[:, 0]
         np.testing.assert_allclose(through, expected, atol=1e-5)
     assert Rectifier(rig).rectify_left(np.full(SIZE[::-1], 200, np.uint8)).max() == 200
 
 
 def test_rigs_of_other_sizes() -> None:
-    rig = UncalibratedRig.from_homographies(np.eye(3), np.eye(3), SIZE)
+    rig = UncalibratedRig.from_homographies(np.identity(3), np.identity(3), SIZE)
     with pytest.raises(CalibrationError, match=r"left: the image is 100x80, the homographies are for 740x480"):
         Rectifier(rig).rectify_left(np.zeros((80, 100), np.uint8))
-    camera = CameraModel(*SIZE, "plumb_bob", K_LEFT, np.zeros(5), np.eye(3), np.eye(3, 4))
+    camera = CameraModel(*SIZE, "plumb_bob", K_LEFT, np.zeros(5), np.identity(3), np.identity(4)[:3])
     with pytest.raises(CalibrationError, match=r"left camera is 740x480, the homographies are for 640x480"):
-        UncalibratedRig.from_homographies(np.eye(3), np.eye(3), (640, 480), (camera, camera))
+        UncalibratedRig.from_homographies(np.identity(3), np.identity(3), (640, 480), (camera, camera))
 
 
 def check_held_out(matches: Correspondences, size: tuple[int, int]) -> None:
@@ -203,7 +205,7 @@ def check_held_out(matches: Correspondences, size: tuple[int, int]) -> None:
 def check_against_opencv(
     found: UncalibratedRectification, matches: Correspondences, F: F64, size: tuple[int, int]
 ) -> None:
-    """Whose pictures are sheared."""
+    """Whose images are sheared."""
     _, H_left, H_right = cv2.stereoRectifyUncalibrated(matches.left_px, matches.right_px, F, size)
     ours = max(abs(shape.angle_deg - 90) for shape in (found.shape_left, found.shape_right))
     theirs = max(abs(shape_under(H, size).angle_deg - 90) for H in (H_left, H_right))
@@ -223,7 +225,7 @@ def test_fisheye_scene(stereo_data: Path) -> None:
     """Twice as large as it is, which is the size of the boards that tell its distortion."""
     folder = stereo_data / "stereopi" / "fisheye_v2"
     board = create_board("chessboard", (9, 6), 0.025)
-    rig = calibrate(find_views(open_pictures(folder / "pairs"), board, lambda _: board).views, "equidistant").rig
+    rig = calibrate(find_views(open_stereo_images(folder / "pairs"), board, lambda _: board).views, "equidistant").rig
     scene = cv2.imread(str(folder / "scenes" / "photo.png"), cv2.IMREAD_GRAYSCALE)
     assert scene is not None
     large = np.asarray(cv2.resize(scene, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC), np.uint8)

@@ -74,19 +74,19 @@ def plain_costs(left: U8, right: U8, config: MatchingConfig) -> F32:
 
 def plain_disparities(costs: F32, config: MatchingConfig) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
     """Winner and sub-pixel fit in 1/16 px, and where the winner is clear beyond rounding."""
-    fixed = np.zeros(costs.shape[:2])
+    disparity_x16 = np.zeros(costs.shape[:2])
     clear = np.zeros(costs.shape[:2], np.bool_)
-    for y, x in np.ndindex(fixed.shape):
+    for y, x in np.ndindex(disparity_x16.shape):
         row = costs[y, x].astype(float)
         best = int(row.argmin())
-        fixed[y, x] = 16 * (best + config.min_disparity)
+        disparity_x16[y, x] = 16 * (best + config.min_disparity)
         if 0 < best < row.size - 1:
             before, after = row[best - 1] - row[best], row[best + 1] - row[best]
             span = max(before, after) if config.window_cost.endswith("sad") else before + after
             if np.isfinite(span) and span > 0:
-                fixed[y, x] += 8 * (before - after) / span
+                disparity_x16[y, x] += 8 * (before - after) / span
         clear[y, x] = np.sort(row)[1] > row[best] + 1e-4
-    return fixed, clear
+    return disparity_x16, clear
 
 
 @pytest.mark.parametrize("cost", COSTS)
@@ -95,7 +95,8 @@ def test_window_of_each_cost_is_the_definition(
     cost: str, low: int, vertical: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "stereo_depth_ros.matching.window.fixed_window.median_filter", lambda fixed, reasons, side: fixed
+        "stereo_depth_ros.matching.window.fixed_window.median_filter",
+        lambda disparity_x16, reasons, side: disparity_x16,
     )
     left, right = shifted_pair(7, 41, 6, seed=3)
     left = np.clip(left * 0.8 + 30 + np.random.default_rng(4).normal(0, 6, left.shape), 0, 255).astype(np.uint8)
@@ -131,7 +132,7 @@ def test_any_odd_window_finds_a_shift(side: int) -> None:
     result = create_matcher("window", correlation_window_size=side, **UNCHECKED).match(left, right)
     check_result(result, left.shape)
     inside = result.disparity_px[:, 17 + side :]
-    assert np.mean(np.abs(inside - 17) <= 0.5) > (0.5 if side == 1 else 0.999)  # one grey value has many matches
+    assert np.mean(np.abs(inside - 17) <= 0.5) > (0.5 if side == 1 else 0.999)  # one gray value has many matches
 
 
 @pytest.mark.parametrize("cost", COSTS)
@@ -209,15 +210,15 @@ def test_speckles_are_removed() -> None:
 
 def test_median_is_that_of_the_valid_pixels() -> None:
     rng = np.random.default_rng(5)
-    fixed = rng.integers(-300, 300, (17, 26)).astype(np.int16)
-    reasons = (rng.random(fixed.shape) < 0.4).astype(np.uint8)
+    disparity_x16 = rng.integers(-300, 300, (17, 26)).astype(np.int16)
+    reasons = (rng.random(disparity_x16.shape) < 0.4).astype(np.uint8)
     for side in (3, 7, 31):
-        filtered = median_filter(fixed, reasons, side)
+        filtered = median_filter(disparity_x16, reasons, side)
         half = side // 2
-        for y, x in np.ndindex(fixed.shape):
+        for y, x in np.ndindex(disparity_x16.shape):
             near = np.s_[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1]
-            values = np.sort(fixed[near][reasons[near] == 0])
-            assert filtered[y, x] == (fixed[y, x] if reasons[y, x] else values[(values.size - 1) // 2])
+            values = np.sort(disparity_x16[near][reasons[near] == 0])
+            assert filtered[y, x] == (disparity_x16[y, x] if reasons[y, x] else values[(values.size - 1) // 2])
 
 
 def test_same_bytes_on_any_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:

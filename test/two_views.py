@@ -32,7 +32,7 @@ class Views:
 def views(
     count: int, noise_px: float = 0.0, seed: int = 0, pose: RelativePose = POSE, depth_m: tuple[float, float] = (2, 9)
 ) -> Views:
-    """Random points at all depths, seen with noise in both pictures."""
+    """Random points at all depths, seen with noise in both images."""
     random = np.random.default_rng(seed)
     pixels = random.uniform((40, 30), (SIZE[0] - 40, SIZE[1] - 30), (count, 2))
     points = pixels_at(pixels, random.uniform(*depth_m, count))

@@ -47,8 +47,8 @@ class BagInfo:
         path: the bag.
         start_ns, duration_s: log time of the first message, and from there to the last one.
         topics: all topics.
-        stereo: the topics of the two eyes.
-        left_image, right_image: the first image of each eye.
+        stereo: the topics of the two cameras.
+        left_image, right_image: the first image of each camera.
         rig: the calibration.
         exact_pairs: pairs of equal stamps.
         near_pairs: pairs within ``tolerance_s``, equal stamps included.
@@ -77,7 +77,7 @@ class BagInfo:
 
 
 def inspect_bag(path: Path, *, left: str | None = None, right: str | None = None, tolerance_s: float = 0.01) -> BagInfo:
-    """Looks at a whole bag; only the first image of each eye is decoded.
+    """Looks at a whole bag; only the first image of each camera is decoded.
 
     Args:
         path: the bag.
@@ -90,8 +90,8 @@ def inspect_bag(path: Path, *, left: str | None = None, right: str | None = None
     with BagReader(path) as reader:
         inspection = _Inspection(reader)
         stereo = inspection.find_topics(left, right)
-        eyes = (stereo.left_image, stereo.right_image) if stereo else (None, None)
-        left_image, right_image = (inspection.first_image(topic) for topic in eyes)
+        sides = (stereo.left_image, stereo.right_image) if stereo else (None, None)
+        left_image, right_image = (inspection.first_image(topic) for topic in sides)
         rig = inspection.read_rig(stereo, left_image, right_image)
         exact_pairs, near_pairs = inspection.count_pairs(stereo, tolerance_s)
         duration_s = (reader.end_ns - reader.start_ns) * 1e-9
@@ -204,13 +204,13 @@ def _count_pairs(stamps: Iterable[tuple[bool, int]], config: PairingConfig) -> i
 
 
 def _no_pairs(stereo: StereoTopics, near_pairs: int, tolerance_s: float) -> str:
-    eyes = f"no image of {stereo.left_image} has the stamp of one of {stereo.right_image}"
+    sides = f"no image of {stereo.left_image} has the stamp of one of {stereo.right_image}"
     if near_pairs:
         return (
-            f"{eyes}, but {near_pairs} pairs are within {tolerance_s:g} s: set approximate_sync and "
+            f"{sides}, but {near_pairs} pairs are within {tolerance_s:g} s: set approximate_sync and "
             f"approximate_sync_tolerance_seconds = {tolerance_s:g}"
         )
-    return f"{eyes}, and none is within {tolerance_s:g} s: synchronise the cameras and record again"
+    return f"{sides}, and none is within {tolerance_s:g} s: synchronize the cameras and record again"
 
 
 def _summaries(reader: BagReader, duration_s: float) -> dict[str, TopicSummary]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stereo pairs of a bag as serialised messages, for the live replay and the offline engine alike."""
+"""Stereo pairs of a bag as serialized messages, for the live replay and the offline engine alike."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class BagPairs:
 
     Attributes:
         topics: the topics that are read.
-        count: images of the left eye in the whole bag, an upper bound of the number of pairs.
+        count: images of the left camera in the whole bag, an upper bound of the number of pairs.
         unpaired_left, unpaired_right: images without a partner; final after :meth:`pairs` is exhausted.
         warning: one sentence about a bag that is cut, or empty.
 

@@ -30,7 +30,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One serialised message: CDR bytes and the time at which it was logged."""
+    """One serialized message: CDR bytes and the time at which it was logged."""
 
     topic: str
     msgtype: str

@@ -21,7 +21,7 @@ _REMEDY = "name them with --left and --right"
 # words of a name: leftImage2 is left, Image, 2
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+|[^A-Za-z\d]+")
 _RECTIFIED = {"rect", "rectified", "undistorted", "undist"}
-_COLOR = {"color", "colour", "rgb", "bgr"}
+_COLOR = re.compile(r"colou?r|rgb|bgr")
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class StereoTopics:
 def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right: str | None = None) -> StereoTopics:
     """The stereo pair among ``topics``.
 
-    Two image topics of one type make a pair when their names differ only in words that name an eye: left and right,
-    l and r, or numbers n and n + 1. Among several pairs the one with camera infos wins, then raw before rectified, grey
-    before colour, uncompressed before compressed.
+    Two image topics of one type make a pair when their names differ only in words that name a camera: left and right,
+    l and r, or numbers n and n + 1. Among several pairs the one with camera infos wins, then raw before rectified, gray
+    before color, uncompressed before compressed.
 
     Args:
         topics: message type per topic name.
@@ -56,7 +56,7 @@ def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right
         TopicError: no pair, several equally good ones, equal names, a name that is not there or not an image.
     """
     if left is not None and left == right:
-        raise TopicError(f"left and right are the same topic {left}: {_REMEDY} one topic per eye")
+        raise TopicError(f"left and right are the same topic {left}: {_REMEDY} one topic per camera")
     images = {name: kind for name, kind in topics.items() if kind in (_RAW, _COMPRESSED)}
     for name in (left, right):
         _check_image(name, topics, images)
@@ -64,7 +64,7 @@ def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right
         return _checked_pair(left, right, topics)
     candidates = [
         _stereo_topics(one, other, topics)
-        for one, other in _eye_pairs(images)
+        for one, other in _side_pairs(images)
         if images[one] == images[other] and left in (None, one) and right in (None, other)
     ]
     return _best(candidates, images, left or right)
@@ -99,7 +99,7 @@ def _best(candidates: list[StereoTopics], images: Mapping[str, str], given: str 
 
 
 def _rank(pair: StereoTopics) -> tuple[bool, bool, bool, bool]:
-    color = bool(_COLOR & set(_words(pair.left_image)))
+    color = any(_COLOR.fullmatch(word) for word in _words(pair.left_image))
     return (pair.left_info is None or pair.right_info is None, pair.rectified, color, pair.compressed)
 
 
@@ -129,7 +129,7 @@ def _infos(left: str, right: str, topics: Mapping[str, str]) -> tuple[str | None
         return _common_words(pair[0], left) + _common_words(pair[1], right)
 
     taken = {_sibling(name, infos) for name, kind in topics.items() if kind in (_RAW, _COMPRESSED)}
-    pairs = sorted(_eye_pairs(set(infos) - taken), key=likeness, reverse=True)
+    pairs = sorted(_side_pairs(set(infos) - taken), key=likeness, reverse=True)
     if pairs and (len(pairs) == 1 or likeness(pairs[0]) > likeness(pairs[1])):
         return pairs[0]
     return None, None
@@ -144,19 +144,19 @@ def _sibling(image: str, infos: list[str]) -> str | None:
     return None
 
 
-def _eye_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
-    return [pair for pair in itertools.permutations(sorted(names), 2) if _is_eye_pair(*pair)]
+def _side_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
+    return [pair for pair in itertools.permutations(sorted(names), 2) if _is_side_pair(*pair)]
 
 
-def _is_eye_pair(left: str, right: str) -> bool:
-    left_words, right_words = _words(left), _words(right)
-    if len(left_words) != len(right_words):
+def _is_side_pair(left: str, right: str) -> bool:
+    left_descriptors, right_descriptors = _words(left), _words(right)
+    if len(left_descriptors) != len(right_descriptors):
         return False
-    different = [(a, b) for a, b in zip(left_words, right_words, strict=True) if a != b]
-    return bool(different) and all(_are_eyes(a, b) for a, b in different)
+    different = [(a, b) for a, b in zip(left_descriptors, right_descriptors, strict=True) if a != b]
+    return bool(different) and all(_are_sides(a, b) for a, b in different)
 
 
-def _are_eyes(left: str, right: str) -> bool:
+def _are_sides(left: str, right: str) -> bool:
     if left.isdigit() and right.isdigit():
         return int(right) == int(left) + 1
     return (left, right) == ("l", "r") or ("left" in left and left.replace("left", "right") == right)

@@ -84,7 +84,7 @@ class BagWriter:
         publish_time_ns: int | None = None,
         latched: bool = False,
     ) -> None:
-        """Write a serialised message; ``publish_time_ns`` is the log time where it is not given.
+        """Write a serialized message; ``publish_time_ns`` is the log time where it is not given.
 
         A topic whose first message is ``latched`` is played to subscribers that come late, too.
 
@@ -98,7 +98,7 @@ class BagWriter:
         self.message_count += 1
 
     def write(self, topic: str, message: Any, stamp_ns: int) -> None:
-        """Serialise and write a rosbags message object, logged at ``stamp_ns``."""
+        """Serialize and write a rosbags message object, logged at ``stamp_ns``."""
         self.write_raw(topic, message.__msgtype__, self._types.serialize(message), stamp_ns)
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:

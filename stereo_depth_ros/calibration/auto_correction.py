@@ -22,7 +22,7 @@ from stereo_depth_ros.core.types import F64
 
 __all__ = ["AutoCorrection", "Correction"]
 
-MIN_FRAMES = 5  # of a misalignment, before it is believed: a truck that fills a picture is gone by then
+MIN_FRAMES = 5  # of a misalignment, before it is believed: a truck that fills an image is gone by then
 STALE_PAIRS = 2  # that may be on their way still, rectified as before
 
 

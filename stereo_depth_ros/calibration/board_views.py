@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Views of a board by both eyes: how each lies in the picture, what all of them cover and what is missing."""
+"""Views of a board by both cameras: how each lies in the image, what all of them cover and what is missing."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _EDGE = 0.15  # a position this near to 0 or 1 has reached that end
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """A board as both eyes see it.
+    """A board as both cameras see it.
 
     Attributes:
         name: of the pair, for messages: a file, or a stamp.
-        size: width, height of both pictures, px.
+        size: width, height of both images, px.
         left, right: its corners, in the same order where the board does not number them.
     """
 
@@ -39,11 +39,11 @@ class BoardView:
 
 
 class Placement(NamedTuple):
-    """How a board lies in a picture, each within 0..1.
+    """How a board lies in an image, each within 0..1.
 
     Attributes:
         x, y: position, 0 where the board touches the left or upper edge, 1 where it touches the right or lower one.
-        size: square root of the share of the picture that the board takes.
+        size: square root of the share of the image that the board takes.
         skew: how far the angle at a corner of the board is from a right one; 1 is 30 degrees or more.
     """
 
@@ -54,7 +54,7 @@ class Placement(NamedTuple):
 
 
 def placement(corners: Corners, size: tuple[int, int]) -> Placement:
-    """How a board lies in a picture of ``size`` (width, height), as camera_calibration of ROS measures it."""
+    """How a board lies in an image of ``size`` (width, height), as camera_calibration of ROS measures it."""
     points = corners.image_px
     area = cv2.contourArea(cv2.convexHull(points.astype(np.float32)))
     border = float(np.sqrt(area))
@@ -102,9 +102,9 @@ class Coverage:
 
     @classmethod
     def of(cls, placements: Sequence[Placement]) -> Coverage:
-        """Of views, by how the board lies in their left pictures; a small board or a straight one covers nothing."""
+        """Of views, by how the board lies in their left images; a small board or a straight one covers nothing."""
         if not placements:
-            return cls(0.0, 0.0, 0.0, 0.0, ("show the board to both eyes",))
+            return cls(0.0, 0.0, 0.0, 0.0, ("show the board to both cameras",))
         values: F64 = np.array(placements, np.float64)
         low, high = values.min(axis=0), values.max(axis=0)
         low[2:] = 0
@@ -112,7 +112,7 @@ class Coverage:
         missing = [*_missing_position(low[0], high[0], reached[0], ("left", "right"))]
         missing += _missing_position(low[1], high[1], reached[1], ("upper", "lower"))
         if reached[2] < 1:
-            missing.append("move the board closer, until it fills half of the picture's width and height")
+            missing.append("move the board closer, until it fills half of the image's width and height")
         if reached[3] < 1:
             missing.append("tilt the board, one edge nearer to the cameras than the other, and turn it in its plane")
         x, y, size, skew = (float(value) for value in reached)
@@ -140,7 +140,7 @@ class ViewCollector:
         self._placements: list[Placement] = []
 
     def is_new(self, left: Corners, size: tuple[int, int]) -> bool:
-        """Whether the board lies otherwise than in every view taken, by its corners in the left picture."""
+        """Whether the board lies otherwise than in every view taken, by its corners in the left image."""
         place = np.array(placement(left, size))
         return all(float(np.abs(place - other).sum()) > _NEW for other in np.array(self._placements))
 

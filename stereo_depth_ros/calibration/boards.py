@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration boards and where their corners are in a picture."""
+"""Calibration boards and where their corners are in an image."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ BOARDS = ("chessboard", "charuco", "aprilgrid")
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
 MIN_CORNERS = 8  # 8 points fix the pose of a view (6 numbers) and leave 10 measurements for the rest
 _MAX_HALF_WINDOW = 5  # px
-# Width of edges up to which a picture is sharp: as a share of the squares, at least and at most, px, and of the width
+# Width of edges up to which an image is sharp: as a share of the squares, at least and at most, px, and of the width
 _SOFT_OF_SPACING, _SHARP_PX, _SOFT_PX, _SOFT_SHARE = 0.3, 3.9, 5.0, 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """What was seen of a board in one picture.
+    """What was seen of a board in one image.
 
     Attributes:
         ids: int (N,), numbers of the corners on the board, unique.
-        board_m: float64 (N, 3), where they are on the board, metres, z = 0.
-        image_px: float64 (N, 2), where they are in the picture, columns x, y, px.
+        board_m: float64 (N, 3), where they are on the board, meters, z = 0.
+        image_px: float64 (N, 2), where they are in the image, columns x, y, px.
     """
 
     ids: npt.NDArray[np.int64]
@@ -52,7 +52,7 @@ class Corners:
 
 
 class Board(Protocol):
-    """A board that can be found in pictures.
+    """A board that can be found in images.
 
     Attributes:
         size: columns, rows, as the user counts them.
@@ -63,7 +63,7 @@ class Board(Protocol):
     counted: str
 
     def detect(self, gray: U8) -> Corners | None:
-        """The corners in a picture, uint8 (H, W); None where the board is not found."""
+        """The corners in an image, uint8 (H, W); None where the board is not found."""
 
     def align(self, left: Corners, right: Corners) -> Corners:
         """The right corners in the order of the left ones, where the board itself does not tell its orientation."""
@@ -83,8 +83,8 @@ def create_board(
     Args:
         kind: "chessboard", "charuco" or "aprilgrid".
         size: columns, rows: inner corners of a chessboard, squares of a ChArUco board, tags of an aprilgrid.
-        square_m: side of a square, or of a tag of an aprilgrid, metres.
-        marker_m: side of a marker of a ChArUco board, metres; None is 3/4 of the square.
+        square_m: side of a square, or of a tag of an aprilgrid, meters.
+        marker_m: side of a marker of a ChArUco board, meters; None is 3/4 of the square.
         dictionary: markers of a ChArUco board, as OpenCV names them.
         spacing: gap between the tags of an aprilgrid, as a share of ``square_m``.
 
@@ -128,7 +128,7 @@ def check_board_size(size: tuple[int, int], square_m: float, smallest: int, coun
         )
     if not MIN_SQUARE_M <= square_m <= MAX_SQUARE_M:
         raise ConfigError(
-            f"square {square_m:g} m is outside {MIN_SQUARE_M:g}..{MAX_SQUARE_M:g} m: it is given in metres, "
+            f"square {square_m:g} m is outside {MIN_SQUARE_M:g}..{MAX_SQUARE_M:g} m: it is given in meters, "
             f"{square_m:g} mm are {square_m / 1000:g}"
         )
 
@@ -141,10 +141,10 @@ def is_sharp(gray: U8, corners: Corners) -> bool:
 
 
 def edge_width_px(gray: U8, corners: Corners) -> float:
-    """How many pixels the edges at the corners take from dark to bright, their median; many in blurred pictures.
+    """How many pixels the edges at the corners take from dark to bright, their median; many in blurred images.
 
-    Contrast over the steepest slope, around each corner. Two sets of sharp 640x480 pictures have 2.4 to 3.7 px, the
-    same pictures blurred by a Gaussian of 2 px have 5.2 px and more.
+    Contrast over the steepest slope, around each corner. Two sets of sharp 640x480 images have 2.4 to 3.7 px, the
+    same images blurred by a Gaussian of 2 px have 5.2 px and more.
     """
     half = int(np.clip(_spacing_px(corners) / 3, 3, 12))
     smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7)
@@ -170,7 +170,7 @@ def refine_corners(gray: U8, corners_px: F64, spacing_px: float) -> F64:
     Args:
         gray: uint8 (H, W).
         corners_px: float64 (N, 2), within a pixel or two.
-        spacing_px: smallest distance of two corners, px; the window keeps clear of the neighbours.
+        spacing_px: smallest distance of two corners, px; the window keeps clear of the neighbors.
     """
     half = int(np.clip(spacing_px / 3, 1, _MAX_HALF_WINDOW))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)

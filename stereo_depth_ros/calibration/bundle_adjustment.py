@@ -17,7 +17,7 @@ from stereo_depth_ros.calibration.projection import Projection, project
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["Adjustment", "Estimate", "adjust", "residuals_px"]
+__all__ = ["BundleAdjustment", "Estimate", "adjust_bundle", "residuals_px"]
 
 _MAX_STEPS = 100
 _CONVERGED = 1e-9  # relative decrease of the sum of squares, twice in a row; far below one standard deviation
@@ -33,7 +33,7 @@ class Estimate:
     Attributes:
         model: distortion model of the cameras.
         intrinsics: one float64 (4 + n,) a camera: fx, fy, cx, cy, coefficients.
-        rig: float64 (6,), rotation vector and translation, metres, from the first camera to the second; zeros for one.
+        rig: float64 (6,), rotation vector and translation, meters, from the first camera to the second; zeros for one.
         poses: float64 (V, 6), rotation vector and translation from the board to the first camera, a view each.
         fixed: numbers of intrinsic parameters that are not solved for but stay what they are, in every camera.
     """
@@ -52,7 +52,7 @@ class Estimate:
     @property
     def free(self) -> npt.NDArray[np.int64]:
         """Numbers of the shared parameters that are solved for, (F,)."""
-        fixed = [eye * each.size + number for eye, each in enumerate(self.intrinsics) for number in self.fixed]
+        fixed = [side * each.size + number for side, each in enumerate(self.intrinsics) for number in self.fixed]
         return np.setdiff1d(np.arange(self.shared), fixed)
 
     def moved(self, step: F64, pose_steps: F64) -> Estimate:
@@ -68,7 +68,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Adjustment:
+class BundleAdjustment:
     """The solution.
 
     Attributes:
@@ -85,9 +85,9 @@ class Adjustment:
     covariance: F64
     view_covariance: F64
 
-    def view_rms_px(self, eye: int) -> F64:
+    def view_rms_px(self, side: int) -> F64:
         """Root mean square distance of the corners of each view, float64 (V,), px."""
-        return np.array([np.sqrt(np.square(view[eye]).sum(axis=1).mean()) for view in self.residuals])
+        return np.array([np.sqrt(np.square(view[side]).sum(axis=1).mean()) for view in self.residuals])
 
     def sigma(self, direction: F64) -> float:
         """Standard deviation of ``direction`` (S,) times the shared parameters, the larger of the two estimates."""
@@ -96,16 +96,16 @@ class Adjustment:
     @property
     def sigmas(self) -> F64:
         """Standard deviations of the shared parameters, float64 (S,)."""
-        return np.array([self.sigma(direction) for direction in np.eye(self.estimate.shared)])
+        return np.array([self.sigma(direction) for direction in np.identity(self.estimate.shared)])
 
-    def rms_px(self, eye: int | None = None) -> float:
+    def rms_px(self, side: int | None = None) -> float:
         """Root mean square distance of all corners of one camera, or of all, px."""
-        eyes = range(len(self.estimate.intrinsics)) if eye is None else (eye,)
-        squares = [np.square(view[each]).sum(axis=1) for view in self.residuals for each in eyes]
+        sides = range(len(self.estimate.intrinsics)) if side is None else (side,)
+        squares = [np.square(view[each]).sum(axis=1) for view in self.residuals for each in sides]
         return float(np.sqrt(np.concatenate(squares).mean()))
 
 
-def adjust(views: Sequence[tuple[Corners, ...]], start: Estimate, robust: bool = False) -> Adjustment:
+def adjust_bundle(views: Sequence[tuple[Corners, ...]], start: Estimate, robust: bool = False) -> BundleAdjustment:
     """The estimate with the least squares of reprojection errors, after Levenberg and Marquardt.
 
     Args:
@@ -129,7 +129,9 @@ def adjust(views: Sequence[tuple[Corners, ...]], start: Estimate, robust: bool =
             f"{len(views)} views measure too little for {len(estimate.free)} parameters: take more views of the board"
         )
     covariance = equations.cost / freedom * equations.covariance()
-    return Adjustment(estimate, residuals, _of_all(covariance, estimate), _of_all(equations.jackknife(), estimate))
+    return BundleAdjustment(
+        estimate, residuals, _of_all(covariance, estimate), _of_all(equations.jackknife(), estimate)
+    )
 
 
 def _of_all(covariance: F64, estimate: Estimate) -> F64:
@@ -142,21 +144,23 @@ def _of_all(covariance: F64, estimate: Estimate) -> F64:
 def residuals_px(views: Sequence[tuple[Corners, ...]], estimate: Estimate) -> list[tuple[F64, ...]]:
     """Projected less seen, px: for each view a float64 (N, 2) a camera."""
     return [
-        tuple(_project(estimate, eye, pose, corners)[0].image_px - corners.image_px for eye, corners in enumerate(view))
+        tuple(
+            _project(estimate, side, pose, corners)[0].image_px - corners.image_px for side, corners in enumerate(view)
+        )
         for view, pose in zip(views, estimate.poses, strict=True)
     ]
 
 
-def _project(estimate: Estimate, eye: int, pose: F64, corners: Corners) -> tuple[Projection, F64, F64]:
+def _project(estimate: Estimate, side: int, pose: F64, corners: Corners) -> tuple[Projection, F64, F64]:
     """The projection in one camera, and the derivatives (6, 6) of its pose by the rig and by the first camera's."""
-    if eye == 0:
-        return project(estimate.model, estimate.intrinsics[0], pose, corners.board_m), np.zeros((6, 6)), np.eye(6)
+    if side == 0:
+        return project(estimate.model, estimate.intrinsics[0], pose, corners.board_m), np.zeros((6, 6)), np.identity(6)
     rig = estimate.rig
     rotation, translation, *D = cv2.composeRT(pose[:3], pose[3:], rig[:3], rig[3:])
     by_pose = np.block([[D[0], D[1]], [D[4], D[5]]])
     by_rig = np.block([[D[2], D[3]], [D[6], D[7]]])
     second = np.concatenate([rotation.ravel(), translation.ravel()])
-    return project(estimate.model, estimate.intrinsics[eye], second, corners.board_m), by_rig, by_pose
+    return project(estimate.model, estimate.intrinsics[side], second, corners.board_m), by_rig, by_pose
 
 
 def _minimize(views: Sequence[tuple[Corners, ...]], estimate: Estimate, weights: list[tuple[F64, ...]]) -> Estimate:
@@ -186,16 +190,16 @@ def _equations(
     normal = np.zeros((len(views), columns.size, columns.size))
     gradient, cost = np.zeros((len(views), columns.size)), 0.0
     for number, view in enumerate(views):
-        for eye, corners in enumerate(view):
-            projection, by_rig, by_pose = _project(estimate, eye, estimate.poses[number], corners)
+        for side, corners in enumerate(view):
+            projection, by_rig, by_pose = _project(estimate, side, estimate.poses[number], corners)
             J = np.zeros((2 * len(corners.ids), shared + 6))
-            J[:, eye * size : (eye + 1) * size] = projection.by_intrinsics
-            if eye:
+            J[:, side * size : (side + 1) * size] = projection.by_intrinsics
+            if side:
                 J[:, shared - 6 : shared] = projection.by_pose @ by_rig
             J[:, shared:] = projection.by_pose @ by_pose
             J = J[:, columns]
             residuals = (projection.image_px - corners.image_px).ravel()
-            w = np.repeat(weights[number][eye], 2)
+            w = np.repeat(weights[number][side], 2)
             normal[number] += J.T @ (w[:, None] * J)
             gradient[number] += J.T @ (w * residuals)
             cost += float(w @ np.square(residuals))

@@ -37,11 +37,11 @@ def _report(calibration: StereoCalibration) -> Iterator[str]:
     yield f"{c.model}, {c.size[0]}x{c.size[1]}, {len(c.views)} views used, {len(c.dropped)} dropped"
     yield f"baseline {1e3 * c.baseline_m:.3f} +- {1e3 * c.baseline_sigma_m:.3f} mm"
     yield f"rms left {c.left.rms_px:.4f} px, right {c.right.rms_px:.4f} px, both {c.rms_stereo_px:.4f} px"
-    yield f"rms of each eye alone: left {c.left.rms_alone_px:.4f} px, right {c.right.rms_alone_px:.4f} px"
+    yield f"rms of each camera alone: left {c.left.rms_alone_px:.4f} px, right {c.right.rms_alone_px:.4f} px"
     yield f"rows after rectification: rms {c.epipolar_rms_px:.4f} px"
-    for eye, camera in (("left", c.left), ("right", c.right)):
+    for side, camera in (("left", c.left), ("right", c.right)):
         yield ""
-        yield f"{eye}: value and standard deviation"
+        yield f"{side}: value and standard deviation"
         values = (camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *camera.D)
         for name, value, sigma in zip(parameter_names(c.model), values, camera.sigmas, strict=True):
             yield f"  {name}  {value:.8g} +- {sigma:.3g}"

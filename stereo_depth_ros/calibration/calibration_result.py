@@ -21,14 +21,14 @@ __all__ = ["SolvedCamera", "StereoCalibration", "ViewFigures"]
 
 @dataclass(frozen=True, eq=False)
 class SolvedCamera:
-    """One eye.
+    """One camera.
 
     Attributes:
         K: float64 (3, 3), px.
         D: float64 (n,), coefficients of the distortion model.
         sigmas: standard deviations of fx, fy, cx, cy in px and of the coefficients, float64 (4 + n,).
-        rms_px: root mean square distance of seen and projected corners, both eyes solved together.
-        rms_alone_px: the same where this eye is solved alone.
+        rms_px: root mean square distance of seen and projected corners, both cameras solved together.
+        rms_alone_px: the same where this camera is solved alone.
     """
 
     K: F64
@@ -48,9 +48,9 @@ class SolvedCamera:
 
 @dataclass(frozen=True, eq=False)
 class ViewFigures:
-    """One view that was used: corners of both eyes, float64 (N, 2), px, and their root mean square errors, px.
+    """One view that was used: corners of both cameras, float64 (N, 2), px, and their root mean square errors, px.
 
-    ``rms_rows`` is NaN where both eyes see no corner in common.
+    ``rms_rows`` is NaN where both cameras see no corner in common.
     """
 
     name: str
@@ -74,13 +74,13 @@ class StereoCalibration:
         model: distortion model of both cameras.
         left, right: the cameras.
         R: float64 (3, 3), X_right = R X_left + T.
-        T: float64 (3,), metres.
+        T: float64 (3,), meters.
         R_sigma_deg: standard deviations of the rotation about x, y, z of the right camera, float64 (3,), degrees.
-        T_sigma_m: of T, float64 (3,), metres.
+        T_sigma_m: of T, float64 (3,), meters.
         baseline_sigma_m: of the length of T. What the board's own size is wrong by is not in it.
-        rms_stereo_px: root mean square distance over all corners of both eyes.
+        rms_stereo_px: root mean square distance over all corners of both cameras.
         epipolar_rms_px: root mean square difference of rows of the corners after rectification, px of the rectified
-            pictures.
+            images.
         rig: both cameras, rectified.
         views: those that were used.
         dropped: those that were left out, with the reason.
@@ -106,12 +106,12 @@ class StereoCalibration:
 
     @property
     def baseline_m(self) -> float:
-        """Distance of the two optical centres, metres."""
+        """Distance of the two optical centers, meters."""
         return float(np.linalg.norm(self.T))
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width, height of the pictures, px."""
+        """Width, height of the images, px."""
         return self.rig.width, self.rig.height
 
     def to_json(self) -> dict[str, Any]:

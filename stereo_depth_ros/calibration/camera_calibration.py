@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.calibration.boards import Corners
-from stereo_depth_ros.calibration.bundle_adjustment import Adjustment, Estimate, adjust
+from stereo_depth_ros.calibration.bundle_adjustment import BundleAdjustment, Estimate, adjust_bundle
 from stereo_depth_ros.calibration.projection import MODELS, camera_matrix, project
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
@@ -44,41 +44,41 @@ class OneCamera:
         dropped: the others.
     """
 
-    adjustment: Adjustment
+    solution: BundleAdjustment
     kept: list[int]
     dropped: list[DroppedView]
 
 
 def calibrate_camera(
-    names: Sequence[str], views: Sequence[Corners], size: tuple[int, int], model: str, eye: str
+    names: Sequence[str], views: Sequence[Corners], size: tuple[int, int], model: str, side: str
 ) -> OneCamera:
     """The camera from views of a flat board.
 
     Args:
         names: of the views, for messages.
         views: the corners of each.
-        size: width, height of the pictures, px.
+        size: width, height of the images, px.
         model: distortion model.
-        eye: "left" or "right", for messages.
+        camera: "left" or "right", for messages.
 
     Raises:
         CalibrationError: too few views agree, or they do not determine the camera.
     """
     start, lost = _first_guess(views, size, model)
-    dropped = [DroppedView(names[number], f"{eye}: no pose of the board explains its corners") for number in lost]
+    dropped = [DroppedView(names[number], f"{side}: no pose of the board explains its corners") for number in lost]
     kept = [number for number in range(len(views)) if number not in lost]
     while True:
         if len(kept) < MIN_VIEWS:
             raise too_few(len(kept), dropped)
-        adjustment = adjust([(views[number],) for number in kept], start, robust=True)
-        worst = worst_view(adjustment.view_rms_px(0))
+        solution = adjust_bundle([(views[number],) for number in kept], start, robust=True)
+        worst = worst_view(solution.view_rms_px(0))
         if worst is None:
             break
         at, reason = worst
-        dropped.append(DroppedView(names[kept[at]], f"{eye}: {reason}"))
-        start = _without(adjustment.estimate, at)
+        dropped.append(DroppedView(names[kept[at]], f"{side}: {reason}"))
+        start = _without(solution.estimate, at)
         del kept[at]
-    return OneCamera(adjust([(views[number],) for number in kept], adjustment.estimate), kept, dropped)
+    return OneCamera(adjust_bundle([(views[number],) for number in kept], solution.estimate), kept, dropped)
 
 
 def too_few(count: int, dropped: Sequence[DroppedView]) -> CalibrationError:
@@ -86,7 +86,7 @@ def too_few(count: int, dropped: Sequence[DroppedView]) -> CalibrationError:
     without = f" ({len(dropped)} dropped: {'; '.join(f'{view.name}, {view.reason}' for view in dropped)})"
     return CalibrationError(
         f"{count} views of the board{without if dropped else ''}, at least {MIN_VIEWS} are needed and 20 are good: "
-        "take more pairs in which both eyes see the whole board, near and far, tilted, in all parts of the picture"
+        "take more pairs in which both cameras see the whole board, near and far, tilted, in all parts of the image"
     )
 
 
@@ -137,7 +137,7 @@ def _first_pose(model: str, intrinsics: F64, corners: Corners) -> tuple[F64, flo
         return none
     points, rays = corners.board_m[usable].reshape(-1, 1, 3), rays[usable].reshape(-1, 1, 2)
     try:
-        found, rotation, translation = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+        found, rotation, translation = cv2.solvePnP(points, rays, np.identity(3), None, flags=cv2.SOLVEPNP_IPPE)
     except cv2.error:  # the points are on a line
         return none
     if not found:

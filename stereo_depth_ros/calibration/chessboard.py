@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Chessboards: found by their squares, put in the same order in both eyes."""
+"""Chessboards: found by their squares, put in the same order in both cameras."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["Chessboard"]
 
 
 class Chessboard:
-    """A chessboard, which is found when all of it is in the picture.
+    """A chessboard, which is found when all of it is in the image.
 
     Args:
         size: columns, rows of inner corners.
-        square_m: side of a square, metres.
+        square_m: side of a square, meters.
 
     Raises:
         ConfigError: a size or a square that cannot be.
@@ -53,7 +53,7 @@ class Chessboard:
         """The right corners counted from the corner of the board that the left ones are counted from.
 
         A board looks the same when it is counted from another end. Of the orders that are possible the one is taken
-        that lies most like the left one; the eyes may be rolled against each other by less than 90 degrees, by less
+        that lies most like the left one; the cameras may be rolled against each other by less than 90 degrees, by less
         than 45 degrees for a square board.
         """
         wanted = left.image_px - left.image_px.mean(axis=0)

@@ -18,19 +18,19 @@ from stereo_depth_ros.core.types import U8
 
 __all__ = ["GOOD_VIEWS", "LiveCalibration", "Look"]
 
-GOOD_VIEWS = 20  # as many as make the parameters of common lenses good, when they cover the picture
+GOOD_VIEWS = 20  # as many as make the parameters of common lenses good, when they cover the image
 
 
 class Look(enum.Enum):
-    """What became of a pair of pictures; the value is what to tell who holds the board."""
+    """What became of a pair of images; the value is what to tell who holds the board."""
 
     TAKEN = "taken"
     KNOWN = "the board lies as in a view that was taken: move or tilt it"
     MOVING = "the board moves: hold it still"
-    BLURRED = "the picture of the board is blurred: hold it still, focus, or give more light"
-    LEFT_ONLY = "the right eye does not see the board: hold it where both eyes see it"
-    RIGHT_ONLY = "the left eye does not see the board: hold it where both eyes see it"
-    NOWHERE = "no board is seen: hold it before both eyes, with light on it"
+    BLURRED = "the image of the board is blurred: hold it still, focus, or give more light"
+    LEFT_ONLY = "the right camera does not see the board: hold it where both cameras see it"
+    RIGHT_ONLY = "the left camera does not see the board: hold it where both cameras see it"
+    NOWHERE = "no board is seen: hold it before both cameras, with light on it"
 
 
 class LiveCalibration:
@@ -40,12 +40,12 @@ class LiveCalibration:
         board: what is shown.
         model: distortion model of the lenses.
         max_motion_px: largest median way of the corners since the pair before; a board that moves is blurred, and not
-            at one place in two eyes that are not exposed together. 0 takes views of boards that move, too.
+            at one place in two cameras that are not exposed together. 0 takes views of boards that move, too.
 
     Attributes:
         max_motion_px: as given; may be changed.
         result: of the newest calibration; None before the first.
-        seen: where the board was in the left picture of the newest pair; None where it was not found.
+        seen: where the board was in the left image of the newest pair; None where it was not found.
     """
 
     def __init__(self, board: Board, model: str, max_motion_px: float = 2.0) -> None:
@@ -77,10 +77,10 @@ class LiveCalibration:
 
         Args:
             name: of the pair, for messages.
-            left, right: uint8 (H, W), grey, raw.
+            left, right: uint8 (H, W), gray, raw.
 
         Raises:
-            CalibrationError: pictures of another size than those before.
+            CalibrationError: images of another size than those before.
         """
         size = self._checked_size(left, right)
         before, self.seen = self.seen, self._board.detect(left)
@@ -114,17 +114,17 @@ class LiveCalibration:
     def _checked_size(self, left: U8, right: U8) -> tuple[int, int]:
         size = (left.shape[1], left.shape[0])
         self._size = self._size or size
-        for picture, eye in ((left, "left"), (right, "right")):
-            if picture.shape[::-1] != self._size:
+        for image, side in ((left, "left"), (right, "right")):
+            if image.shape[::-1] != self._size:
                 raise CalibrationError(
-                    f"the {eye} picture is {picture.shape[1]}x{picture.shape[0]}, those before were {self._size[0]}x"
-                    f"{self._size[1]}: a calibration is for one size in both eyes, restart at the new one"
+                    f"the {side} image is {image.shape[1]}x{image.shape[0]}, those before were {self._size[0]}x"
+                    f"{self._size[1]}: a calibration is for one size in both cameras, restart at the new one"
                 )
         return size
 
 
 def _motion_px(before: Corners | None, now: Corners) -> float:
-    """Median way of the corners that both pictures show; infinite without any."""
+    """Median way of the corners that both images show; infinite without any."""
     if before is None:
         return np.inf
     _, old, new = np.intersect1d(before.ids, now.ids, return_indices=True)

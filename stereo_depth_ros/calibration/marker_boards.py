@@ -17,16 +17,16 @@ from stereo_depth_ros.core.types import F64, U8
 __all__ = ["AprilGrid", "CharucoBoard"]
 
 _TAGS = 587  # of the family 36h11
-_SMALL_WIDTH = 1000  # px; tags in smaller pictures are looked for at twice the size
+_SMALL_WIDTH = 1000  # px; tags in smaller images are looked for at twice the size
 _MISFIT = 0.25  # of a tag's side: more than lens distortion moves a corner against its tag, less than a wrong layout
 
 
 class CharucoBoard:
-    """A chessboard with markers in its white squares; a part of it in the picture is enough.
+    """A chessboard with markers in its white squares; a part of it in the image is enough.
 
     Args:
         size: columns, rows of squares.
-        square_m, marker_m: side of a square and of a marker, metres.
+        square_m, marker_m: side of a square and of a marker, meters.
         dictionary: name of the markers' dictionary, such as "DICT_4X4_50".
 
     Raises:
@@ -39,7 +39,7 @@ class CharucoBoard:
         check_board_size(size, square_m, 3, self.counted)
         if not 0 < marker_m < square_m:
             raise ConfigError(
-                f"marker {marker_m:g} m is not within 0..{square_m:g} m, the side of a square: measure it, in metres"
+                f"marker {marker_m:g} m is not within 0..{square_m:g} m, the side of a square: measure it, in meters"
             )
         self.size = size
         markers = _aruco_dictionary(dictionary)
@@ -83,7 +83,7 @@ class AprilGrid:
 
     Args:
         size: columns, rows of tags.
-        tag_m: side of a tag, its black border included, metres.
+        tag_m: side of a tag, its black border included, meters.
         spacing: gap between two tags as a share of ``tag_m``.
 
     Raises:
@@ -160,7 +160,7 @@ def _misfit(corners: Corners, length_m: float) -> float:
 
 def _spacing_px(corners_px: F64) -> float:
     distances = np.linalg.norm(corners_px[:, None] - corners_px[None], axis=2)
-    return float(distances[~np.eye(len(corners_px), dtype=bool)].min())
+    return float(distances[~np.identity(len(corners_px), dtype=bool)].min())
 
 
 def _all_tags(detector: Any, gray: U8) -> tuple[npt.NDArray[np.int64], F64]:
@@ -170,9 +170,9 @@ def _all_tags(detector: Any, gray: U8) -> tuple[npt.NDArray[np.int64], F64]:
     too much of the cells of small tags.
     """
     enlarged = 2 if gray.shape[1] < _SMALL_WIDTH else 1
-    picture = cv2.resize(gray, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_CUBIC) if enlarged > 1 else gray
-    parted = cv2.dilate(picture, np.ones((3, 3), np.uint8))
-    quads, ids, _ = max((detector.detectMarkers(each) for each in (picture, parted)), key=lambda found: len(found[0]))
+    image = cv2.resize(gray, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_CUBIC) if enlarged > 1 else gray
+    parted = cv2.dilate(image, np.ones((3, 3), np.uint8))
+    quads, ids, _ = max((detector.detectMarkers(each) for each in (image, parted)), key=lambda found: len(found[0]))
     if ids is None:
         return np.zeros(0, np.int64), np.zeros((0, 4, 2))
     corners_px = (np.asarray(quads, np.float64).reshape(-1, 4, 2) + 0.5) / enlarged - 0.5

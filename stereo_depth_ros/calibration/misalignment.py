@@ -30,8 +30,8 @@ __all__ = ["CorrectionLimits", "Misalignment", "MisalignmentEstimator", "correct
 WINDOW = 20  # frames that count, the newest
 MIN_FRAMES, MIN_MATCHES = 3, 100
 SIGNIFICANT_SIGMAS = 5.0
-SIGNIFICANT_PX = 0.5  # of row error, where in the picture it is largest
-ROUNDS = 3  # of linearisation; the second one changes the first by less than a hundredth
+SIGNIFICANT_PX = 0.5  # of row error, where in the image it is largest
+ROUNDS = 3  # of linearization; the second one changes the first by less than a hundredth
 REWEIGHTINGS = 10
 SCALE_DEVIATIONS = 2.0  # of the weights: matches further off than that count little
 
@@ -45,9 +45,9 @@ class Misalignment:
             y (down) and z (forward) of the rectified camera: pitch, yaw and roll.
         scale: growth of the focal length of the right camera, as a share.
         rotation_sigma_deg, scale_sigma: their standard deviations.
-        shift_px: how much lower the right picture is in its middle; another word for the pitch.
+        shift_px: how much lower the right image is in its middle; another word for the pitch.
         row_median_px, row_rms_px: median of the absolute row errors, and their root mean square, of all frames.
-        rest_px: standard deviation of what the rotation and the scale do not explain.
+        residual_px: standard deviation of what the rotation and the scale do not explain.
         matches, frames: how many.
         significant: of pitch, yaw, roll and scale those that are beyond doubt and large enough to matter.
     """
@@ -59,7 +59,7 @@ class Misalignment:
     shift_px: float
     row_median_px: float
     row_rms_px: float
-    rest_px: float
+    residual_px: float
     matches: int
     frames: int
     significant: tuple[str, ...]
@@ -87,7 +87,7 @@ class MisalignmentEstimator:
     """Gathers the newest frames, and gives what they together say.
 
     Args:
-        rig: that the pictures were rectified with.
+        rig: that the images were rectified with.
         reference_yaw_deg: yaw that the healthy rig has shown; None where nobody knows: then yaw is told and never
             significant.
     """
@@ -117,7 +117,7 @@ def corrected_rig(
 ) -> StereoRig:
     """The rig whose right camera rectifies to the rows of the left one again: R and K of the right camera change.
 
-    P stays as it is, so that nothing changes for who uses the rectified pictures. Yaw is taken back as far as it goes
+    P stays as it is, so that nothing changes for who uses the rectified images. Yaw is taken back as far as it goes
     beyond ``reference_yaw_deg``, what the healthy rig has shown; not at all where that is None.
 
     Raises:
@@ -165,7 +165,7 @@ def _estimate(frames: list[RowMatches], rig: StereoRig, reference_yaw_deg: float
         shift_px=-rig.fy_px * math.tan(parts[0]),
         row_median_px=float(np.median(np.abs(raw))),
         row_rms_px=float(np.sqrt(np.mean(raw**2))),
-        rest_px=_deviation(errors),
+        residual_px=_deviation(errors),
         matches=len(left),
         frames=len(frames),
         significant=_significant(parts, sigma, rig, reference_yaw_deg),

@@ -111,7 +111,7 @@ def _scale(matrix: F64) -> F64:
 def _inverse(matrix: F64) -> F64:
     """Of a symmetric matrix; what it leaves open, up to rounding, comes out large and not infinite.
 
-    Coefficients of a rich lens model can be exchanged for each other without a trace in the picture: the others are
+    Coefficients of a rich lens model can be exchanged for each other without a trace in the image: the others are
     known all the same.
     """
     scale = _scale(matrix)
@@ -122,7 +122,7 @@ def _inverse(matrix: F64) -> F64:
     if not values[-1] > 0:
         raise CalibrationError(
             "the views do not determine the cameras: tilt the board about both axes and take it to all parts of the "
-            "picture, or take a distortion model with fewer coefficients"
+            "image, or take a distortion model with fewer coefficients"
         )
     inverse: F64 = (vectors / np.maximum(values, _ROUNDING * values[-1])) @ vectors.T / np.outer(scale, scale)
     return inverse

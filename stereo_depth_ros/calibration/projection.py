@@ -64,12 +64,12 @@ def camera_matrix(intrinsics: F64) -> F64:
 
 
 def project(model: str, intrinsics: F64, pose: F64, points_m: F64) -> Projection:
-    """Points of the board in the picture.
+    """Points of the board in the image.
 
     Args:
         model: distortion model.
         intrinsics: float64 (4 + n,): fx, fy, cx, cy in px, coefficients.
-        pose: float64 (6,): rotation vector and translation in metres from the board to the camera.
+        pose: float64 (6,): rotation vector and translation in meters from the board to the camera.
         points_m: float64 (N, 3) on the board.
     """
     K, D, points = camera_matrix(intrinsics), intrinsics[4:], points_m.reshape(-1, 1, 3)
@@ -96,10 +96,10 @@ def rectified_points(model: str, K: F64, D: F64, R: F64, P: F64, image_px: F64) 
 
 
 def turning_radius_px(model: str, intrinsics: F64, size: tuple[int, int]) -> tuple[float, float]:
-    """Radius in the picture beyond which the radial distortion folds back, and that of the farthest picture corner, px.
+    """Radius in the image beyond which the radial distortion folds back, and that of the farthest image corner, px.
 
     A lens maps larger angles to larger radii. Coefficients are only known where corners were seen: beyond them the
-    polynomials may turn. Infinite where they do not within the picture.
+    polynomials may turn. Infinite where they do not within the image.
     """
     focal_px = float(np.sqrt(intrinsics[0] * intrinsics[1]))
     corners = np.array([[x, y] for x in (0, size[0] - 1) for y in (0, size[1] - 1)]) - intrinsics[2:4]

@@ -18,8 +18,8 @@ from stereo_depth_ros.matching.protocol import check_images
 
 __all__ = ["RowMatches", "match_rows"]
 
-CELLS = (6, 10)  # rows and columns of the picture, each with its own strongest corners
-CORNERS_PER_CELL = 24  # of the left picture; twice as many of the right, where the same place may be in another cell
+CELLS = (6, 10)  # rows and columns of the image, each with its own strongest corners
+CORNERS_PER_CELL = 24  # of the left image; twice as many of the right, where the same place may be in another cell
 FAST_THRESHOLD = 7
 LARGEST_ROW_ERROR = 0.05  # of the height; and at least 8 px
 LARGEST_DISPARITY = 0.25  # of the width, either way
@@ -34,10 +34,10 @@ _CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 0.003)
 
 @dataclass(frozen=True, eq=False)
 class RowMatches:
-    """N points of the left rectified picture and the same points in the right one.
+    """N points of the left rectified image and the same points in the right one.
 
     Attributes:
-        left_px, right_px: float64 (N, 2), columns x and y, px; pixel centres are whole numbers.
+        left_px, right_px: float64 (N, 2), columns x and y, px; pixel centers are whole numbers.
     """
 
     left_px: F64
@@ -70,21 +70,21 @@ def match_rows(left: U8, right: U8) -> RowMatches:
     and kept where the way back ends at the left point.
 
     Args:
-        left, right: uint8 (H, W), grey, rectified.
+        left, right: uint8 (H, W), gray, rectified.
 
     Returns:
-        The matches, in a fixed order; few or none where the pictures show nothing in common. Those are left out whose
-        row error is far from a plane over the picture that most of them are near to.
+        The matches, in a fixed order; few or none where the images show nothing in common. Those are left out whose
+        row error is far from a plane over the image that most of them are near to.
 
     Raises:
-        ImageError: not two grey uint8 pictures of one size.
+        ImageError: not two gray uint8 images of one size.
     """
     check_images(left, right)
-    left_xy, left_words = _corners(left, CORNERS_PER_CELL)
-    right_xy, right_words = _corners(right, 2 * CORNERS_PER_CELL)
+    left_xy, left_descriptors = _corners(left, CORNERS_PER_CELL)
+    right_xy, right_descriptors = _corners(right, 2 * CORNERS_PER_CELL)
     if min(len(left_xy), len(right_xy)) < 2:
         return RowMatches(np.empty((0, 2)), np.empty((0, 2)))
-    i, j = _mutual_best(left_words, right_words, _allowed(left_xy, right_xy, left.shape))
+    i, j = _mutual_best(left_descriptors, right_descriptors, _allowed(left_xy, right_xy, left.shape))
     return _without_wrong(_refined(left, right, left_xy[i], right_xy[j]))
 
 
@@ -157,7 +157,7 @@ def _tracked(
 
 
 def _without_wrong(matches: RowMatches) -> RowMatches:
-    """Those whose row error is near to a plane over the picture, which is fitted to them."""
+    """Those whose row error is near to a plane over the image, which is fitted to them."""
     if len(matches) < MIN_FOR_PLANE:
         return matches
     errors, basis = matches.errors_px, np.column_stack((matches.left_px, np.ones(len(matches))))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth calibrate`: both cameras and the rig from pictures of a board."""
+"""`stereo-depth calibrate`: both cameras and the rig from images of a board."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
 from stereo_depth_ros.cli.output import messages, progress_bar, show
 from stereo_depth_ros.core.errors import BagError, CalibrationError
-from stereo_depth_ros.datasets.stereo_images import open_pictures
-from stereo_depth_ros.plots.coverage import coverage_picture
-from stereo_depth_ros.plots.drawing import save_picture
+from stereo_depth_ros.datasets.stereo_images import open_stereo_images
+from stereo_depth_ros.plots.coverage import coverage_plot
+from stereo_depth_ros.plots.drawing import save_png
 
 __all__ = ["calibrate_command"]
 
@@ -30,14 +30,14 @@ _LISTED = 5  # names in one warning
 
 
 def calibrate_command(
-    place: Annotated[Path, typer.Argument(metavar="BAG|DIR", help="Raw stereo bag, or folder of pictures.")],
+    place: Annotated[Path, typer.Argument(metavar="BAG|DIR", help="Raw stereo bag, or folder of images.")],
     size: Annotated[str, typer.Option(metavar="9x6", help="Columns x rows: inner corners, squares or tags.")],
-    square: Annotated[float, typer.Option(metavar="METRES", help="Side of a square, or of a tag of an aprilgrid.")],
+    square: Annotated[float, typer.Option(metavar="METERS", help="Side of a square, or of a tag of an aprilgrid.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")],
     board: Annotated[str, typer.Option(metavar="NAME", help=f"{', '.join(BOARDS)}.")] = "chessboard",
     model: Annotated[str, typer.Option(metavar="NAME", help=f"Distortion: {', '.join(MODELS)}.")] = "plumb_bob",
     marker: Annotated[
-        float | None, typer.Option(metavar="METRES", help="charuco: side of a marker; 3/4 of a square.")
+        float | None, typer.Option(metavar="METERS", help="charuco: side of a marker; 3/4 of a square.")
     ] = None,
     dictionary: Annotated[
         str, typer.Option(metavar="NAME", help="charuco: dictionary of the markers.")
@@ -55,15 +55,15 @@ def calibrate_command(
         Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
     ] = None,
 ) -> None:
-    """Calibrate both cameras and the rig from pairs of pictures of a board.
+    """Calibrate both cameras and the rig from pairs of images of a board.
 
-    A folder has pairs whose names differ in the word that names the eye (left01.png and right01.png, left/01.png and
-    right/01.png, cam0/.. and cam1/..); of a bag the views are taken that differ from each other. Both eyes have to see
-    the whole chessboard, or a part of a charuco board or an aprilgrid.
+    A folder has pairs whose names differ in the word that names the camera (left01.png and right01.png, left/01.png and
+    right/01.png, cam0/.. and cam1/..); of a bag the views are taken that differ from each other. Both cameras have to
+    see the whole chessboard, or a part of a charuco board or an aprilgrid.
 
     --size counts inner corners of a chessboard, squares of a charuco board, tags of an aprilgrid (tags 36h11, as Kalibr
     lays them out). plumb_bob is for common lenses, rational_polynomial for wide ones (take many views, out to the
-    corners of the picture), equidistant for fisheyes.
+    corners of the image), equidistant for fisheyes.
 
     DIR gets left.yaml and right.yaml in the format of camera_calibration, calibration.json, calibration.txt with the
     standard deviation of each parameter, and coverage.png. Views that fit far less than the others are left out and
@@ -71,9 +71,9 @@ def calibrate_command(
 
     \b
     Examples:
-      stereo-depth calibrate pictures --size 9x6 --square 0.025 -o calibration
+      stereo-depth calibrate images --size 9x6 --square 0.025 -o calibration
       stereo-depth calibrate drive.mcap --board aprilgrid --size 6x6 --square 0.088 --model equidistant -o calibration
-      stereo-depth calibrate pictures --board charuco --size 8x11 --square 0.03 --marker 0.022 -o out --json -
+      stereo-depth calibrate images --board charuco --size 8x11 --square 0.03 --marker 0.022 -o out --json -
     """
     counts = parse_board_size(size)
 
@@ -86,16 +86,16 @@ def calibrate_command(
         raise BagError(f"cannot write {json_file}: there is no folder {json_file.parent}: make it, or name another")
     if output.exists() and not output.is_dir():
         raise BagError(f"cannot write into {output}: it is no folder, name another with -o")
-    pictures = open_pictures(place, left, right)
+    images = open_stereo_images(place, left, right)
     with progress_bar("looking for the board") as progress:
-        found = find_views(pictures, sought, board_of_size, progress)
-    warnings = [*pictures.warnings, *_warnings(found)]
+        found = find_views(images, sought, board_of_size, progress)
+    warnings = [*images.warnings, *_warnings(found)]
     try:
         result = calibrate(found.views, model)
     except CalibrationError as error:
         raise CalibrationError(f"{error}{_explained(found)}") from error
     save_calibration(result, output)
-    save_picture(output / "coverage.png", coverage_picture(result))
+    save_png(output / "coverage.png", coverage_plot(result))
     show(_tables(result, found, output), _values(result, found, output), json_file)
     warnings += [f"{view.name} dropped: {view.reason}" for view in result.dropped]
     for text in (*warnings, *result.warnings):
@@ -104,8 +104,8 @@ def calibrate_command(
 
 def _warnings(found: FoundViews) -> Iterator[str]:
     for names, text in (
-        (found.left_only, "the board is seen by the left eye only"),
-        (found.right_only, "the board is seen by the right eye only"),
+        (found.left_only, "the board is seen by the left camera only"),
+        (found.right_only, "the board is seen by the right camera only"),
         (found.nowhere, "no board"),
     ):
         if names:
@@ -131,9 +131,9 @@ def _tables(result: StereoCalibration, found: FoundViews, output: Path) -> Itera
     facts = Table.grid(padding=(0, 2))
     facts.add_row("pairs", f"{found.pairs} looked at, {len(result.views)} used, {len(result.dropped)} dropped")
     facts.add_row("baseline", f"{1e3 * result.baseline_m:.3f} ± {1e3 * result.baseline_sigma_m:.3f} mm")
-    facts.add_row("rms of both eyes", f"{result.rms_stereo_px:.3f} px")
+    facts.add_row("rms of both cameras", f"{result.rms_stereo_px:.3f} px")
     alone = f"left {result.left.rms_alone_px:.3f}, right {result.right.rms_alone_px:.3f} px"
-    facts.add_row("rms of each eye alone", alone)
+    facts.add_row("rms of each camera alone", alone)
     facts.add_row("rows after rectification", f"rms {result.epipolar_rms_px:.3f} px")
     cover = result.coverage
     facts.add_row("coverage", f"x {cover.x:.0%}, y {cover.y:.0%}, size {cover.size:.0%}, skew {cover.skew:.0%}")
@@ -145,10 +145,10 @@ def _tables(result: StereoCalibration, found: FoundViews, output: Path) -> Itera
 
 def _cameras_table(result: StereoCalibration) -> Table:
     table = _table("", "fx px", "fy px", "cx px", "cy px", "rms px")
-    for eye, camera in (("left", result.left), ("right", result.right)):
+    for side, camera in (("left", result.left), ("right", result.right)):
         values = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
         cells = [f"{value:.2f} ± {sigma:.2f}" for value, sigma in zip(values, camera.sigmas[:4], strict=True)]
-        table.add_row(eye, *cells, f"{camera.rms_px:.3f}")
+        table.add_row(side, *cells, f"{camera.rms_px:.3f}")
     return table
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth doctor`: what is wrong with a stereo set-up, and what to do about it."""
+"""`stereo-depth doctor`: what is wrong with a stereo setup, and what to do about it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from rich.table import Table
 
 from stereo_depth_ros.cli.output import progress_bar, show
 from stereo_depth_ros.cli.tables import facts_table, plain_table
-from stereo_depth_ros.diagnosis.bag_survey import set_up_of_bag
+from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.diagnosis.doctor import diagnose
 from stereo_depth_ros.diagnosis.finding import Level
-from stereo_depth_ros.diagnosis.survey import StereoSetUp
+from stereo_depth_ros.diagnosis.survey import StereoSetup
 from stereo_depth_ros.diagnosis.verdict import Diagnosis
 from stereo_depth_ros.replay.graph_processes import require_ros
 
@@ -46,7 +46,7 @@ def doctor_command(
         Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
     ] = None,
 ) -> None:
-    """Examine a stereo set-up: calibration, stamps, pictures, rows; say what is wrong and what to do.
+    """Examine a stereo setup: calibration, stamps, images, rows; say what is wrong and what to do.
 
     Topics are found as by `info` in a bag; live they are image_raw (else image_rect) and camera_info in the namespaces,
     or what --left and --right name.
@@ -64,11 +64,11 @@ def doctor_command(
         raise typer.BadParameter("give a BAG, or --live for the running graph", param_hint="BAG")
     if bag is not None:
         with progress_bar("reading") as progress:
-            set_up = set_up_of_bag(bag, left, right, progress)
+            setup = survey_bag(bag, left, right, progress)
     else:
-        set_up = _listen(left, right, left_namespace, right_namespace, seconds)
+        setup = _listen(left, right, left_namespace, right_namespace, seconds)
     with progress_bar("matching features") as progress:
-        diagnosis = diagnose(set_up, progress)
+        diagnosis = diagnose(setup, progress)
     show(_tables(diagnosis), diagnosis.to_json(), json_file)
     if diagnosis.level is Level.ERROR:
         raise typer.Exit(_EXIT_ERROR)
@@ -78,14 +78,14 @@ def doctor_command(
 
 def _listen(
     left: str | None, right: str | None, left_namespace: str, right_namespace: str, seconds: float
-) -> StereoSetUp:
+) -> StereoSetup:
     require_ros()
-    from stereo_depth_ros.nodes.graph_survey import camera_topics, probe_graph
+    from stereo_depth_ros.nodes.graph_survey import camera_topics, survey_graph
 
     left_names = (left,) if left else camera_topics(left_namespace)
     right_names = (right,) if right else camera_topics(right_namespace)
     with progress_bar("listening") as progress:
-        return probe_graph(left_names, right_names, seconds, progress)
+        return survey_graph(left_names, right_names, seconds, progress)
 
 
 def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
@@ -104,9 +104,9 @@ def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
             table.add_row(escape(", ".join(checks)), escape(remedy))
         yield table
     facts = facts_table()
-    set_up = diagnosis.set_up
-    facts.add_row("images", f"{set_up.left.image_topic}, {set_up.right.image_topic}")
-    facts.add_row("looked at", f"{len(set_up.pairs)} pairs of {set_up.source}")
+    setup = diagnosis.setup
+    facts.add_row("images", f"{setup.left.image_topic}, {setup.right.image_topic}")
+    facts.add_row("looked at", f"{len(setup.pairs)} pairs of {setup.source}")
     if diagnosis.search:
         facts.add_row("search", diagnosis.search)
     facts.add_row("verdict", escape(diagnosis.verdict))

@@ -22,9 +22,9 @@ from stereo_depth_ros.evaluation.evaluator import Evaluation, evaluate
 from stereo_depth_ros.evaluation.plausibility import check_plausible
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSet, SceneSource, find_scenes
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.plots.curve import curve_picture
-from stereo_depth_ros.plots.drawing import save_picture
-from stereo_depth_ros.plots.error import error_picture
+from stereo_depth_ros.plots.curve import curve_plot
+from stereo_depth_ros.plots.drawing import save_png
+from stereo_depth_ros.plots.error import error_plot
 
 __all__ = ["evaluate_command"]
 
@@ -42,7 +42,7 @@ def evaluate_command(
         Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
     ] = None,
     csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures as CSV.")] = None,
-    pictures: Annotated[
+    images: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw left, truth, found and error of each scene into DIR.")
     ] = None,
 ) -> None:
@@ -61,7 +61,7 @@ def evaluate_command(
     \b
     Examples:
       stereo-depth evaluate Motorcycle-perfect --matcher sgbm
-      stereo-depth evaluate middlebury eth3d --matcher bm --matcher sgbm --json scores.json --pictures out
+      stereo-depth evaluate middlebury eth3d --matcher bm --matcher sgbm --json scores.json --images out
       stereo-depth evaluate room.mcap --matcher sgbm --param disparity_range:=128 --param P1:=100
     """
     values = parse_assignments(param or ())
@@ -71,12 +71,12 @@ def evaluate_command(
     for file in (json_file, csv_file):
         if file is not None and not file.resolve().parent.is_dir():
             raise BagError(f"cannot write {file}: there is no folder {file.parent}: make it, or name another")
-    rows, left_out = _run([_scenes(place) for place in places], matcher, config, list(values), pictures)
+    rows, left_out = _run([_scenes(place) for place in places], matcher, config, list(values), images)
     if not rows:
         raise ImageError(f"nothing could be evaluated: {left_out[0]}")
     if csv_file is not None:
         _write_csv(csv_file, rows)
-    show(evaluation_tables(rows, "disparity_range" in values, pictures), rows, json_file)
+    show(evaluation_tables(rows, "disparity_range" in values, images), rows, json_file)
     for text in left_out:
         messages.print(f"warning: {text}", markup=False)
     if left_out:
@@ -92,7 +92,7 @@ def _scenes(place: Path) -> SceneSet:
 
 
 def _run(
-    sets: list[SceneSet], matchers: list[str], config: MatchingConfig, given: list[str], pictures: Path | None
+    sets: list[SceneSet], matchers: list[str], config: MatchingConfig, given: list[str], images: Path | None
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """A row of figures for each scene and method, and a sentence for each that is left out."""
     rows: list[dict[str, Any]] = []
@@ -116,8 +116,8 @@ def _run(
                     left_out.append(f"{source.name}, {matcher} left out: {error}")
                     continue
                 rows.append(evaluation.to_json())
-                if pictures is not None:
-                    _draw(pictures, scene, evaluation)
+                if images is not None:
+                    _draw(images, scene, evaluation)
     return rows, left_out
 
 
@@ -139,14 +139,14 @@ def _draw(folder: Path, scene: Scene, evaluation: Evaluation) -> None:
         f"error: bad 1 {errors.bad_1:.1f} %, bad 2 {errors.bad_2:.1f} % of the matched, "
         f"{errors.bad_2_all:.1f} % with holes, mean {errors.avg_px:.2f} px"
     )
-    picture = error_picture(scene.left, scene.truth_px, evaluation.result.disparity_px, title, caption)
-    save_picture(folder / f"{name}.png", picture)
+    image = error_plot(scene.left, scene.truth_px, evaluation.result.disparity_px, title, caption)
+    save_png(folder / f"{name}.png", image)
     if evaluation.confidence is not None:
         curve = evaluation.confidence.bad_1
         area = f"area {curve.area:.2f}, random {curve.random_area:.2f}, best {curve.oracle_area:.2f}"
         unit = "percent wrong by more than 1 px"
-        drawn = curve_picture(curve.error, curve.oracle, errors.density, f"{title}: {area}", unit)
-        save_picture(folder / f"{name}_confidence.png", drawn)
+        drawn = curve_plot(curve.error, curve.oracle, errors.density, f"{title}: {area}", unit)
+        save_png(folder / f"{name}_confidence.png", drawn)
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:

@@ -173,12 +173,12 @@ def process(
 
 @app.command()
 def demo(
-    output_dir: Annotated[Path, typer.Option(metavar="DIR", help="Where the bag and the picture go.")] = Path("out"),
+    output_dir: Annotated[Path, typer.Option(metavar="DIR", help="Where the bag and the image go.")] = Path("out"),
     separate: Annotated[bool, typer.Option("--separate", help="One process a node; fused by default.")] = False,
     matcher: Matcher = None,
     json_file: Json = None,
 ) -> None:
-    """Play the sample bag through the live graph; prints a table, writes a bag and a picture.
+    """Play the sample bag through the live graph; prints a table, writes a bag and an image.
 
     \b
     Examples:
@@ -188,9 +188,9 @@ def demo(
     bag, output = _sample_bag(), output_dir / "demo.mcap"
     options = ReplayOptions(bag=str(bag), output=str(output))
     result = _replay(options, "separate" if separate else "fused", parse_assignments((), matcher), None)
-    picture = output_dir / "demo.png"
-    save_bag_preview(output, picture, f"{bag.name}: {matcher or 'sgm'}")
-    _finish(result, json_file, picture=picture)
+    image = output_dir / "demo.png"
+    save_bag_preview(output, image, f"{bag.name}: {matcher or 'sgm'}")
+    _finish(result, json_file, image=image)
 
 
 @app.command()
@@ -234,9 +234,9 @@ def _replay(
         return replay_through_graph(options, shape, values, config, progress, params_file, health)
 
 
-def _finish(result: ReplayResult, json_file: Path | None, picture: Path | None = None) -> None:
-    values = result.to_json() | ({"picture": str(picture)} if picture else {})
-    show(result_tables(result, picture), values, json_file)
+def _finish(result: ReplayResult, json_file: Path | None, image: Path | None = None) -> None:
+    values = result.to_json() | ({"image": str(image)} if image else {})
+    show(result_tables(result, image), values, json_file)
     for text in result.warnings:
         messages.print(f"warning: {text}", markup=False)
     if result.left_out or (result.lost and not result.realtime):

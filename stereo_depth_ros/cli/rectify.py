@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth rectify`: a pair of pictures to one whose rows agree, with a calibration or without."""
+"""`stereo-depth rectify`: a pair of images to one whose rows agree, with a calibration or without."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from stereo_depth_ros.geometry.correspondences import Correspondences, match_fea
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
 from stereo_depth_ros.geometry.relative_pose import RelativePose
 from stereo_depth_ros.geometry.uncalibrated_rectification import rectify_uncalibrated
-from stereo_depth_ros.plots.drawing import save_picture
-from stereo_depth_ros.plots.rows import rows_picture
+from stereo_depth_ros.plots.drawing import save_png
+from stereo_depth_ros.plots.rows import rows_plot
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["rectify_command"]
@@ -38,15 +38,15 @@ _AGREE_PX = 3.0  # matches whose rows are further from the others' are wrong one
 
 
 def rectify_command(
-    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left picture, raw.")],
-    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right picture, raw.")],
+    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left image, raw.")],
+    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right image, raw.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")],
     rig: Annotated[
         list[Path] | None,
         typer.Option("--rig", metavar="FILE|DIR|BAG", help="Calibration: left.yaml, its folder, or a bag."),
     ] = None,
     uncalibrated: Annotated[
-        bool, typer.Option("--uncalibrated", help="From the pictures alone; --rig then only removes distortion.")
+        bool, typer.Option("--uncalibrated", help="From the images alone; --rig then only removes distortion.")
     ] = False,
     method: Annotated[
         str | None, typer.Option(metavar="NAME", help=f"Rectify anew: {', '.join(METHODS)}; R and P of the rig else.")
@@ -56,11 +56,11 @@ def rectify_command(
         Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
     ] = None,
 ) -> None:
-    """Make the rows of a pair of pictures agree.
+    """Make the rows of a pair of images agree.
 
     With --rig by the calibration. With --uncalibrated features are matched, the fundamental matrix is estimated, and
     two homographies are found that distort least (Loop and Zhang 1999); lenses with distortion need --rig beside it.
-    The pictures then have disparities, but no depth in metres.
+    The images then have disparities, but no depth in meters.
 
     DIR gets left.png and right.png, rows.png with lines across both, and with --method left.yaml and right.yaml. The
     row errors told are those of matched features.
@@ -72,24 +72,24 @@ def rectify_command(
       stereo-depth rectify left.jpg right.jpg --uncalibrated -o out --json -
     """
     if rig is None and not uncalibrated:
-        raise ConfigError("neither --rig nor --uncalibrated: give the calibration, or let the pictures tell the rows")
+        raise ConfigError("neither --rig nor --uncalibrated: give the calibration, or let the images tell the rows")
     if uncalibrated and method is not None:
         raise ConfigError(f"--method {method} takes a calibration, --uncalibrated does without: give one of them")
-    pictures = _Pictures(read_image(left), read_image(right))
+    images = _Pair(read_image(left), read_image(right))
     known = read_rig(rig) if rig else None
-    raw = match_features(pictures.left_gray, pictures.right_gray)
+    raw = match_features(images.left_gray, images.right_gray)
     result: dict[str, Any] = {"left": str(left), "right": str(right), "output": str(output)}
     used: StereoRig | UncalibratedRig
     if known is None or uncalibrated:
-        used, found = _from_pictures(pictures, raw, known)
+        used, found = _from_images(images, raw, known)
     else:
         used, found = _from_calibration(known, method, alpha)
     result |= found
-    rectified = _rectified(pictures, used)
+    rectified = _rectified(images, used)
     result |= {"before": _rows(raw), "after": _rows(match_features(rectified.left_gray, rectified.right_gray))}
-    save_picture(output / "left.png", rectified.left)
-    save_picture(output / "right.png", rectified.right)
-    save_picture(output / "rows.png", rows_picture(rectified.left, rectified.right, _title(result)))
+    save_png(output / "left.png", rectified.left)
+    save_png(output / "right.png", rectified.right)
+    save_png(output / "rows.png", rows_plot(rectified.left, rectified.right, _title(result)))
     if method is not None and isinstance(used, StereoRig):
         write_camera(output / "left.yaml", used.left, "left")
         write_camera(output / "right.yaml", used.right, "right")
@@ -99,8 +99,8 @@ def rectify_command(
 
 
 @dataclass(frozen=True)
-class _Pictures:
-    """A pair as it was read, uint8 (H, W) or (H, W, 3) BGR, and in grey."""
+class _Pair:
+    """A pair as it was read, uint8 (H, W) or (H, W, 3) BGR, and in gray."""
 
     left: U8
     right: U8
@@ -122,7 +122,7 @@ class _Pictures:
         """
         if self.left.shape[:2] != self.right.shape[:2]:
             sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (self.left, self.right))
-            raise CalibrationError(f"the pictures are {sizes}: a pair has one size, take them at one resolution")
+            raise CalibrationError(f"the images are {sizes}: a pair has one size, take them at one resolution")
         return self.left.shape[1], self.left.shape[0]
 
 
@@ -134,12 +134,12 @@ def _from_calibration(known: StereoRig, method: str | None, alpha: float) -> tup
     return used, {"method": method or "the calibration's R and P", "metric": True, "common_area": area}
 
 
-def _from_pictures(
-    pictures: _Pictures, raw: Correspondences, known: StereoRig | None
+def _from_images(
+    images: _Pair, raw: Correspondences, known: StereoRig | None
 ) -> tuple[UncalibratedRig, dict[str, Any]]:
     matches = raw.undistorted(known.left, known.right) if known else raw
     estimate = estimate_fundamental(matches.left_px, matches.right_px)
-    found = rectify_uncalibrated(estimate.F, pictures.size)
+    found = rectify_uncalibrated(estimate.F, images.size)
     cameras = (known.left, known.right) if known else None
     left_px, right_px = found.rectified(matches.left_px[estimate.inliers], matches.right_px[estimate.inliers])
     disparity_px = np.percentile(left_px[:, 0] - right_px[:, 0], (1, 99))
@@ -165,9 +165,9 @@ def _from_pictures(
     return UncalibratedRig.from_homographies(found.H_left, found.H_right, found.size, cameras), values
 
 
-def _rectified(pictures: _Pictures, rig: StereoRig | UncalibratedRig) -> _Pictures:
+def _rectified(images: _Pair, rig: StereoRig | UncalibratedRig) -> _Pair:
     rectifier = Rectifier(rig)
-    return _Pictures(rectifier.rectify_left(pictures.left), rectifier.rectify_right(pictures.right))
+    return _Pair(rectifier.rectify_left(images.left), rectifier.rectify_right(images.right))
 
 
 def _rows(matches: Correspondences) -> dict[str, float | None]:
@@ -192,7 +192,7 @@ def _error(rows: dict[str, float | None]) -> str:
 def _table(result: dict[str, Any]) -> Table:
     facts = facts_table()
     facts.add_row("method", result["method"])
-    facts.add_row("depth", "in metres" if result["metric"] else "none: disparities tell what is nearer, no metres")
+    facts.add_row("depth", "in meters" if result["metric"] else "none: disparities tell what is nearer, no meters")
     for name in ("before", "after"):
         rows = result[name]
         text = "too few matched features to say"

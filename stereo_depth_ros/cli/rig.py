@@ -28,13 +28,13 @@ from stereo_depth_ros.geometry.depth_range import (
 )
 from stereo_depth_ros.geometry.field_of_view import field_of_view
 from stereo_depth_ros.matching import matcher_from_config
-from stereo_depth_ros.plots.depth_error import depth_error_picture
-from stereo_depth_ros.plots.drawing import save_picture
+from stereo_depth_ros.plots.depth_error import depth_error_plot
+from stereo_depth_ros.plots.drawing import save_png
 
 __all__ = ["rig_command"]
 
 _BASELINES = (0.5, 1.0, 2.0)  # times that of the rig
-_PICTURE_POINTS = 300
+_PLOT_POINTS = 300
 
 
 def rig_command(
@@ -42,7 +42,7 @@ def rig_command(
         list[Path], typer.Argument(metavar="LEFT.yaml RIGHT.yaml|DIR|BAG", help="Camera files, their folder, or a bag.")
     ],
     nearest: Annotated[
-        float | None, typer.Option(metavar="M", help="Nearest distance wanted, metres; an eighth of the width else.")
+        float | None, typer.Option(metavar="M", help="Nearest distance wanted, meters; an eighth of the width else.")
     ] = None,
     max_error: Annotated[
         float, typer.Option(metavar="PERCENT", help="Depth error, in percent of the depth, that is still of use.")
@@ -56,14 +56,14 @@ def rig_command(
     ] = None,
     left: Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left image topic of the bag.")] = None,
     right: Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic of the bag.")] = None,
-    picture: Annotated[
+    image: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw the depth error over the distance.")
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
     ] = None,
 ) -> None:
-    """Say what a rig can see: fields of view, range, depth error at each metre, and the disparity range it takes.
+    """Say what a rig can see: fields of view, range, depth error at each meter, and the disparity range it takes.
 
     DIR holds left.yaml and right.yaml in the format of camera_calibration; one of two such files finds its partner
     beside it. Of a bag the first camera infos are read.
@@ -75,7 +75,7 @@ def rig_command(
     \b
     Examples:
       stereo-depth rig left.yaml right.yaml
-      stereo-depth rig calibration --nearest 0.4 --max-error 2 --picture error.png
+      stereo-depth rig calibration --nearest 0.4 --max-error 2 --image error.png
       stereo-depth rig drive.mcap --param disparity_range:=128 --param disparity_sigma_px:=0.1 --json - | jq .limits
     """
     rig = read_rig(paths, left, right)
@@ -88,9 +88,9 @@ def rig_command(
     given = bool({"min_disparity", "disparity_range"} & values.keys())
     survey = _Survey(rig, config.matching if given else recommended, precision)
     result = survey.to_json() | {"recommended": {"nearest_m": nearest_m, **_search_values(recommended)}}
-    if picture is not None:
-        save_picture(picture, survey.picture())
-        result["picture"] = str(picture)
+    if image is not None:
+        save_png(image, survey.image())
+        result["image"] = str(image)
     show(rig_tables(result, given), result, json_file)
     own = next(item for item in result["limits"] if item["baseline_factor"] == 1)
     if own["nearest_m"] >= own["farthest_m"]:
@@ -136,11 +136,11 @@ class _Survey:
             "depths": [_known(asdict(error)) for error in depth_errors(rig, depths_m, self.precision)],
         }
 
-    def picture(self) -> Any:
+    def image(self) -> Any:
         """The depth errors of the baselines, as far as the largest of them reaches."""
         ranges = {factor: depth_range(self.rig, self.search, self.precision, factor) for factor in _BASELINES}
         last_m = max(min(found.farthest_m, found.search_end_m) for found in ranges.values())
-        depths_m = np.linspace(last_m / _PICTURE_POINTS, last_m, _PICTURE_POINTS)
+        depths_m = np.linspace(last_m / _PLOT_POINTS, last_m, _PLOT_POINTS)
         sigma_m, nearest_m = {}, {}
         for factor, found in ranges.items():
             name = f"{1e3 * found.baseline_m:.0f} mm"
@@ -148,7 +148,7 @@ class _Survey:
             sigma_m[name] = np.array([error.sigma_m for error in errors])
             nearest_m[name] = found.nearest_m
         title = f"depth error, f {self.rig.f_px:.0f} px, sigma of disparities {self.precision.sigma_px:g} px, baselines"
-        return depth_error_picture(depths_m, sigma_m, nearest_m, self.precision.max_error, title)
+        return depth_error_plot(depths_m, sigma_m, nearest_m, self.precision.max_error, title)
 
     def _limits(self, factor: float) -> dict[str, Any]:
         return {"baseline_factor": factor, **_known(asdict(depth_range(self.rig, self.search, self.precision, factor)))}

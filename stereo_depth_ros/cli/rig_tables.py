@@ -14,7 +14,7 @@ from stereo_depth_ros.cli.tables import facts_table, plain_table
 __all__ = ["rig_tables"]
 
 _MAX_ROWS = 30  # of the depths; JSON has all
-_EYES = {"raw_left": "raw, left", "raw_right": "raw, right", "rectified": "rectified"}
+_VIEWS = {"raw_left": "raw, left", "raw_right": "raw, right", "rectified": "rectified"}
 
 
 def rig_tables(result: Mapping[str, Any], search_given: bool) -> Iterator[Table]:
@@ -26,9 +26,11 @@ def rig_tables(result: Mapping[str, Any], search_given: bool) -> Iterator[Table]
 
 
 def _view_table(views: Mapping[str, Mapping[str, float | None]]) -> Table:
-    table = plain_table("picture", "horizontal:r", "vertical:r", "diagonal:r", title="field of view, degrees")
-    for eye, name in _EYES.items():
-        table.add_row(name, *(_number(views[eye][f"{side}_deg"], 1) for side in ("horizontal", "vertical", "diagonal")))
+    table = plain_table("image", "horizontal:r", "vertical:r", "diagonal:r", title="field of view, degrees")
+    for side, name in _VIEWS.items():
+        table.add_row(
+            name, *(_number(views[side][f"{angle}_deg"], 1) for angle in ("horizontal", "vertical", "diagonal"))
+        )
     return table
 
 
@@ -43,9 +45,9 @@ def _limits_table(result: Mapping[str, Any]) -> Table:
         table.add_row(
             f"{1e3 * limits['baseline_m']:.1f}",
             f"{limits['baseline_factor']:g}",
-            _metres(limits["nearest_m"]),
-            _metres(limits["farthest_m"]),
-            "infinity" if end_m is None else _metres(end_m),
+            _meters(limits["nearest_m"]),
+            _meters(limits["farthest_m"]),
+            "infinity" if end_m is None else _meters(end_m),
         )
     return table
 
@@ -59,8 +61,8 @@ def _depths_table(depths: list[Mapping[str, float | None]]) -> Table:
         table.add_row(
             f"{depth_m:g}",
             _number(row["disparity_px"], 2),
-            _millimetres(step_m),
-            _millimetres(sigma_m),
+            _millimeters(step_m),
+            _millimeters(sigma_m),
             f"{100 * sigma_m / depth_m:.2f}",
             _number(row["overlap"], 1, 100),
             _number(row["common_width_m"], 2),
@@ -93,12 +95,12 @@ def _summary(result: Mapping[str, Any], search_given: bool) -> Table:
     )
     facts.add_row("disparities", f"in steps of {precision['step_px']:.3g} px, sigma {precision['sigma_px']:g} px")
     facts.add_row("step", "to the depth of the next smaller disparity")
-    facts.add_row("overlap", "of the rectified pictures' width, at that depth")
+    facts.add_row("overlap", "of the rectified images' width, at that depth")
     names = ("min_disparity", "disparity_range")
     facts.add_row(f"from {advice['nearest_m']:.3g} m", ", ".join(f"{name}: {advice[name]}" for name in names))
     facts.add_row("to paste", " ".join(f"--param {name}:={advice[name]}" for name in names))
-    if "picture" in result:
-        facts.add_row("picture", result["picture"])
+    if "image" in result:
+        facts.add_row("image", result["image"])
     return facts
 
 
@@ -106,11 +108,11 @@ def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
     return "-" if value is None else f"{factor * value:.{digits}f}"
 
 
-def _metres(value: float) -> str:
+def _meters(value: float) -> str:
     return f"{value:.3g}" if value < 100 else f"{value:.0f}"
 
 
-def _millimetres(metres: float | None) -> str:
-    if metres is None:
+def _millimeters(meters: float | None) -> str:
+    if meters is None:
         return "infinite"
-    return f"{1e3 * metres:.{2 if metres < 0.01 else 1 if metres < 0.1 else 0}f}"
+    return f"{1e3 * meters:.{2 if meters < 0.01 else 1 if meters < 0.1 else 0}f}"

@@ -58,13 +58,13 @@ _COSTS: Columns = {
 }
 
 
-def result_tables(result: ReplayResult, picture: Path | None = None) -> Iterator[Table]:
+def result_tables(result: ReplayResult, image: Path | None = None) -> Iterator[Table]:
     """What a replay or an offline run gave: the outputs, the stages, a summary with the paths."""
     if result.outputs:
         yield _outputs_table(result)
     if result.stages_ms:
         yield _stages_table(result)
-    yield _summary_table(result, picture)
+    yield _summary_table(result, image)
 
 
 def info_tables(info: BagInfo) -> Iterator[Table]:
@@ -124,7 +124,7 @@ def parameters_values() -> list[dict[str, Any]]:
 
 
 def evaluation_tables(
-    rows: Sequence[Mapping[str, Any]], range_given: bool, pictures: Path | None = None
+    rows: Sequence[Mapping[str, Any]], range_given: bool, images: Path | None = None
 ) -> Iterator[Table]:
     """What an evaluation gave: a row for each scene and method, means of each method, how it was measured."""
     yield _scenes_table(rows)
@@ -132,7 +132,7 @@ def evaluation_tables(
     yield _means_table(rows, "mean times", _COSTS)
     facts = facts_table()
     facts.add_row("bad x", "percent of the matched truth pixels that are wrong by more than x px")
-    facts.add_row("all", "pixels without disparity count as wrong; nonocc: only pixels that both eyes see")
+    facts.add_row("all", "pixels without disparity count as wrong; nonocc: only pixels that both cameras see")
     ranges = [row["disparity_range"] for row in rows]
     rule = "as given" if range_given else "the smallest multiple of 16 above the scene's largest true disparity"
     facts.add_row("disparity_range", f"{min(ranges)} to {max(ranges)}, {rule}, the same for every method")
@@ -140,8 +140,8 @@ def evaluation_tables(
     facts.add_row("confidence", "area under the bad 1 curve, most confident first, over that of a random order")
     masked = list(dict.fromkeys(row["scene"] for row in rows if row["occlusion"] == "mask"))
     facts.add_row("occlusion", "from the true disparities" + (f"; {', '.join(masked)}: own mask" if masked else ""))
-    if pictures is not None:
-        facts.add_row("pictures", str(pictures))
+    if images is not None:
+        facts.add_row("images", str(images))
     yield facts
 
 
@@ -180,7 +180,7 @@ def _figure(value: float | None, factor: float) -> str:
     return f"{scaled:.{2 if abs(scaled) < 10 else 1 if abs(scaled) < 100 else 0}f}"
 
 
-def _summary_table(result: ReplayResult, picture: Path | None) -> Table:
+def _summary_table(result: ReplayResult, image: Path | None) -> Table:
     facts = facts_table()
     facts.add_row("pairs in", str(result.pairs))
     if result.unpaired_left or result.unpaired_right:
@@ -200,8 +200,8 @@ def _summary_table(result: ReplayResult, picture: Path | None) -> Table:
             )
     if result.output is not None:
         facts.add_row("bag written", str(result.output))
-    if picture is not None:
-        facts.add_row("picture", str(picture))
+    if image is not None:
+        facts.add_row("image", str(image))
     return facts
 
 

@@ -7,9 +7,9 @@ from stereo_depth_ros.config.parameter import ParameterInfo, parameter_infos, re
 from stereo_depth_ros.config.stages import (
     CONFIGS,
     CalibrationConfig,
+    CalibrationMonitorConfig,
     CloudConfig,
     DepthConfig,
-    HealthConfig,
     PairingConfig,
     PipelineConfig,
 )
@@ -17,9 +17,9 @@ from stereo_depth_ros.config.stages import (
 __all__ = [
     "CONFIGS",
     "CalibrationConfig",
+    "CalibrationMonitorConfig",
     "CloudConfig",
     "DepthConfig",
-    "HealthConfig",
     "MatchingConfig",
     "PairingConfig",
     "ParameterInfo",

@@ -18,9 +18,9 @@ from stereo_depth_ros.config.parameter import Checked, parameter
 __all__ = [
     "CONFIGS",
     "CalibrationConfig",
+    "CalibrationMonitorConfig",
     "CloudConfig",
     "DepthConfig",
-    "HealthConfig",
     "PairingConfig",
     "PipelineConfig",
 ]
@@ -31,7 +31,7 @@ class PairingConfig(Checked):
     """How left and right images, and their camera infos, are brought together."""
 
     queue_size: int = parameter(
-        5, "Unpaired images kept per eye while the other eye is awaited.", low=1, high=1000, run_time=False
+        5, "Unpaired images kept per camera while the other camera is awaited.", low=1, high=1000, run_time=False
     )
     approximate_sync: bool = parameter(False, "Pair stamps that differ; false pairs equal stamps only.", run_time=False)
     approximate_sync_tolerance_seconds: float = parameter(
@@ -64,7 +64,7 @@ class DepthConfig(Checked):
 
     depth_encoding: str = parameter(
         "32FC1",
-        "Depth image: 32FC1 is metres with NaN, 16UC1 is millimetres with 0 (REP 118).",
+        "Depth image: 32FC1 is meters with NaN, 16UC1 is millimeters with 0 (REP 118).",
         choices=("32FC1", "16UC1"),
     )
     disparity_sigma_px: float = parameter(
@@ -80,12 +80,12 @@ class DepthConfig(Checked):
 class CloudConfig(Checked):
     """The point cloud."""
 
-    avoid_point_cloud_padding: bool = parameter(False, "Pack points without padding: 16 bytes with colour, 12 without.")
-    use_color: bool = parameter(True, "Colour the points with the left image.")
+    avoid_point_cloud_padding: bool = parameter(False, "Pack points without padding: 16 bytes with color, 12 without.")
+    use_color: bool = parameter(True, "Color the points with the left image.")
 
 
 @dataclass(frozen=True)
-class HealthConfig(Checked):
+class CalibrationMonitorConfig(Checked):
     """The health of the calibration, which health_node watches."""
 
     health_rate: float = parameter(
@@ -159,6 +159,6 @@ class PipelineConfig:
 # By the names of the tables: the stages of the path, and what nodes beside it take
 CONFIGS: Mapping[str, type] = {
     **{item.name: type(item.default) for item in dataclasses.fields(PipelineConfig)},
-    "health": HealthConfig,
+    "health": CalibrationMonitorConfig,
     "calibration": CalibrationConfig,
 }

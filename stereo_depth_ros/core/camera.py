@@ -34,7 +34,8 @@ class CameraModel:
         K: float64 (3, 3), intrinsics of the raw image, px.
         D: float64 (n,), coefficients of the distortion model; empty is none for plumb_bob.
         R: float64 (3, 3), rotation from the camera to the rectified camera.
-        P: float64 (3, 4), projection of the rectified image, px and px * m; P[0, 3] = -fx * baseline for the right eye.
+        P: float64 (3, 4), projection of the rectified image, px and px * m; P[0, 3] = -fx * baseline for the right
+            camera.
         frame_id: name of the optical frame.
 
     Raises:
@@ -60,7 +61,7 @@ class CameraModel:
 
     def rectified(self) -> CameraModel:
         """The camera whose raw images are this one's rectified images: K of P, no distortion, no rotation."""
-        return replace(self, distortion_model="plumb_bob", K=self.P[:, :3], D=np.zeros(5), R=np.eye(3))
+        return replace(self, distortion_model="plumb_bob", K=self.P[:, :3], D=np.zeros(5), R=np.identity(3))
 
 
 def check_intrinsics(camera: CameraModel, label: str) -> None:
@@ -120,7 +121,7 @@ def _check_form(matrix: F64, label: str, name: str, form: str) -> None:
 
 def check_rotation(R: F64, label: str) -> None:
     """Raise CalibrationError, which begins with ``label``, where float64 (3, 3) is no rotation."""
-    error = np.abs(R @ R.T - np.eye(3)).max()
+    error = np.abs(R @ R.T - np.identity(3)).max()
     if not error <= 1e-3 or np.linalg.det(R) < 0:
         raise CalibrationError(
             f"{label} = {R.tolist()} is not a rotation (|R R^T - I| = {error:.3g}, limit 0.001; determinant +1): "

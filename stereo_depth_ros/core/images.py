@@ -17,8 +17,8 @@ def to_gray(frame: Frame, out: U8 | None = None) -> U8:
     """The frame as uint8 (H, W).
 
     Args:
-        frame: mono8 is returned as it is, and ``out`` left alone; colour is weighted as in Rec. 601.
-        out: uint8 (H, W), C-contiguous: written and returned where the frame is colour.
+        frame: mono8 is returned as it is, and ``out`` left alone; color is weighted as in Rec. 601.
+        out: uint8 (H, W), C-contiguous: written and returned where the frame is color.
 
     Raises:
         ImageError: ``out`` has another size, type or layout.

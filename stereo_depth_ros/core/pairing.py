@@ -33,7 +33,7 @@ class PairingCounts:
     Attributes:
         paired: pairs released.
         dropped_left, dropped_right: messages without a partner.
-        duplicates: messages of either eye with the stamp of one that waits, or of the last one released.
+        duplicates: messages of either camera with the stamp of one that waits, or of the last one released.
         backwards: times that the clock was set back and both queues were cleared.
     """
 
@@ -48,15 +48,16 @@ class StereoPairing(Generic[T]):
     """Brings together the left and right items whose stamps belong together.
 
     Pairs come in the order of their stamps and each item is in one pair at most. Of the oldest waiting items of the
-    two eyes, the earlier is paired with the later one unless their difference exceeds the tolerance, or the next item
-    of the earlier eye is closer. That next item is awaited only where it could be closer: none is expected sooner than
-    the shortest interval the eye has had, so a difference of up to half of it is paired at once. As nothing but stamps
-    decides, the same stamps give the same pairs however the two eyes interleave, within the size of the queues.
+    two cameras, the earlier is paired with the later one unless their difference exceeds the tolerance, or the next
+    item of the earlier camera is closer. That next item is awaited only where it could be closer: none is expected
+    sooner than the shortest interval the camera has had, so a difference of up to half of it is paired at once. As
+    nothing but stamps decides, the same stamps give the same pairs however the two cameras interleave, within the size
+    of the queues.
 
-    An item is dropped as soon as it has lost: the other eye is past its stamp plus the tolerance, a later item of its
-    own eye is closer or has been released, or its queue is full. A late item is paired while its place is still open.
-    A stamp more than 1 s before the newest of its eye, or more than ``queue_size`` late ones in a row, mean that the
-    clock was set back, as when a bag is looped: both queues are cleared. Not for concurrent use.
+    An item is dropped as soon as it has lost: the other camera is past its stamp plus the tolerance, a later item of
+    its own camera is closer or has been released, or its queue is full. A late item is paired while its place is still
+    open. A stamp more than 1 s before the newest of its camera, or more than ``queue_size`` late ones in a row, mean
+    that the clock was set back, as when a bag is looped: both queues are cleared. Not for concurrent use.
 
     Args:
         limits: queue size and tolerance.
@@ -65,8 +66,8 @@ class StereoPairing(Generic[T]):
     def __init__(self, limits: PairingLimits) -> None:
         self._tolerance_ns = limits.tolerance_ns
         self._queue_size = limits.queue_size
-        self._left: _Eye[T] = _Eye()
-        self._right: _Eye[T] = _Eye()
+        self._left: _Side[T] = _Side()
+        self._right: _Side[T] = _Side()
         self._paired = 0
         self._backwards = 0
 
@@ -86,7 +87,7 @@ class StereoPairing(Generic[T]):
 
     @property
     def counts(self) -> PairingCounts:
-        """What became of the items so far; those of both eyes are 2 paired + dropped + duplicates + pending."""
+        """What became of the items so far; those of both cameras are 2 paired + dropped + duplicates + pending."""
         duplicates = self._left.duplicates + self._right.duplicates
         return PairingCounts(self._paired, self._left.dropped, self._right.dropped, duplicates, self._backwards)
 
@@ -100,23 +101,23 @@ class StereoPairing(Generic[T]):
         """Number of right items that wait."""
         return len(self._right.queue)
 
-    def _add(self, eye: _Eye[T], stamp_ns: int, item: T) -> list[tuple[T, T]]:
-        if eye.is_set_back(stamp_ns, self._queue_size):
+    def _add(self, side: _Side[T], stamp_ns: int, item: T) -> list[tuple[T, T]]:
+        if side.is_set_back(stamp_ns, self._queue_size):
             self._backwards += 1
             self._clear()
-        eye.insert(stamp_ns, item)
+        side.insert(stamp_ns, item)
         pairs = self._release()
-        if len(eye.queue) > self._queue_size:
+        if len(side.queue) > self._queue_size:
             pairs += self._release(final=True)
-        while len(eye.queue) > self._queue_size:
-            eye.drop_oldest()
+        while len(side.queue) > self._queue_size:
+            side.drop_oldest()
         return pairs
 
     def _release(self, final: bool = False) -> list[tuple[T, T]]:
         """Pairs and drops from the oldest items on, up to one that later items may change; to the end when final."""
         pairs = []
         while self._left.queue and self._right.queue:
-            earlier, later = sorted((self._left, self._right), key=lambda eye: eye.queue[0].stamp_ns)
+            earlier, later = sorted((self._left, self._right), key=lambda side: side.queue[0].stamp_ns)
             stays_alone = self._stays_alone(earlier, later.queue[0].stamp_ns)
             if stays_alone is None and not final:
                 break
@@ -127,17 +128,17 @@ class StereoPairing(Generic[T]):
         self._paired += len(pairs)
         return pairs
 
-    def _stays_alone(self, eye: _Eye[T], partner_ns: int) -> bool | None:
-        """Whether the oldest item of ``eye``, not after ``partner_ns``, stays without it; None while that is open."""
-        oldest = eye.queue[0]
+    def _stays_alone(self, side: _Side[T], partner_ns: int) -> bool | None:
+        """Whether the oldest item of ``side``, not after ``partner_ns``, stays without it; None while that is open."""
+        oldest = side.queue[0]
         difference_ns = partner_ns - oldest.stamp_ns
         if self._tolerance_ns is not None and difference_ns > self._tolerance_ns:
             return True
         if 2 * difference_ns <= oldest.shortest_interval_ns:
             return False
-        if len(eye.queue) == 1:
+        if len(side.queue) == 1:
             return None
-        return abs(eye.queue[1].stamp_ns - partner_ns) < difference_ns
+        return abs(side.queue[1].stamp_ns - partner_ns) < difference_ns
 
     def _clear(self) -> None:
         self._left.start_anew()
@@ -148,11 +149,11 @@ class StereoPairing(Generic[T]):
 class _Waiting(Generic[T]):
     stamp_ns: int
     item: T
-    shortest_interval_ns: int  # of its eye, up to this stamp; 0 while there is none
+    shortest_interval_ns: int  # of its camera, up to this stamp; 0 while there is none
 
 
-class _Eye(Generic[T]):
-    """The items of one eye that wait, by stamp, and what is known of its clock."""
+class _Side(Generic[T]):
+    """The items of one camera that wait, by stamp, and what is known of its clock."""
 
     def __init__(self) -> None:
         self.queue: list[_Waiting[T]] = []

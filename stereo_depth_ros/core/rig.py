@@ -62,7 +62,7 @@ class Rig(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StereoRig:
-    """Left and right camera after rectification: same rows, the right eye to the right by the baseline.
+    """Left and right camera after rectification: same rows, the right camera to the right by the baseline.
 
     Attributes:
         left, right: the cameras; the left one is the reference.
@@ -113,13 +113,13 @@ class StereoRig:
         Args:
             K_left, K_right: (3, 3), px.
             D_left, D_right: coefficients of ``distortion_model``.
-            R, T: (3, 3) and (3,) in metres, with X_right = R X_left + T.
+            R, T: (3, 3) and (3,) in meters, with X_right = R X_left + T.
             size: width, height of both images, px.
             alpha: 0 shows only pixels that have a source, 1 all source pixels.
         """
-        bare = np.eye(3, 4)
-        left = CameraModel(*size, distortion_model, _array(K_left), _array(D_left), np.eye(3), bare, frame_id)
-        right = CameraModel(*size, distortion_model, _array(K_right), _array(D_right), np.eye(3), bare, frame_id)
+        bare = np.identity(4)[:3]
+        left = CameraModel(*size, distortion_model, _array(K_left), _array(D_left), np.identity(3), bare, frame_id)
+        right = CameraModel(*size, distortion_model, _array(K_right), _array(D_right), np.identity(3), bare, frame_id)
         check_intrinsics(left, "left camera")
         check_intrinsics(right, "right camera")
         check_rotation(_array(R).reshape(3, 3), "R from the left to the right camera")
@@ -143,7 +143,7 @@ class StereoRig:
 
         def camera(cx: float, baseline_m: float) -> CameraModel:
             P = np.array([[fx, 0, cx, -fx * baseline_m], [0, fy, cy, 0], [0, 0, 1, 0]])
-            return CameraModel(*size, "plumb_bob", P[:, :3], np.zeros(5), np.eye(3), P, frame_id)
+            return CameraModel(*size, "plumb_bob", P[:, :3], np.zeros(5), np.identity(3), P, frame_id)
 
         return cls(camera(cx_left, 0.0), camera(cx_right, baseline_m))
 
@@ -189,7 +189,7 @@ class StereoRig:
 
     @property
     def baseline_m(self) -> float:
-        """Distance of the two optical centres, metres, positive."""
+        """Distance of the two optical centers, meters, positive."""
         return float(-self.right.P[0, 3] / self.right.P[0, 0])
 
     @property
@@ -199,7 +199,7 @@ class StereoRig:
 
     @property
     def Q(self) -> F64:  # noqa: N802
-        """float64 (4, 4): (x, y, d, 1) with d = x_left - x_right to homogeneous metres; Z = f B / (d - doffs)."""
+        """float64 (4, 4): (x, y, d, 1) with d = x_left - x_right to homogeneous meters; Z = f B / (d - doffs)."""
         aspect = self.f_px / self.fy_px
         return np.array(
             [
@@ -222,21 +222,21 @@ class StereoRig:
                 "at this resolution, or set binning and roi of the camera info"
             )
 
-    def check_eye(self, eye: str, frame_id: str, topic: str) -> None:
-        """Refuses an image of one eye that carries the frame of the other eye.
+    def check_side(self, side: str, frame_id: str, topic: str) -> None:
+        """Refuses an image of one camera that carries the frame of the other camera.
 
         Args:
-            eye: "left" or "right".
+            camera: "left" or "right".
             frame_id: of the image.
 
         Raises:
-            CalibrationError: the image is the other eye's.
+            CalibrationError: the image is the other camera's.
         """
-        own, other = (self.left, self.right) if eye == "left" else (self.right, self.left)
+        own, other = (self.left, self.right) if side == "left" else (self.right, self.left)
         if frame_id and frame_id != own.frame_id and frame_id == other.frame_id:
             raise CalibrationError(
-                f"{topic}: frame_id is {frame_id!r}, the frame of the other eye, here it is {own.frame_id!r}: "
-                "eyes are swapped, exchange the image topics of left and right"
+                f"{topic}: frame_id is {frame_id!r}, the frame of the other camera, here it is {own.frame_id!r}: "
+                "cameras are swapped, exchange the image topics of left and right"
             )
 
     def _labels(self) -> tuple[str, str]:
@@ -252,7 +252,7 @@ def _array(values: npt.ArrayLike) -> F64:
 
 
 def _rectify(left: CameraModel, right: CameraModel, R: F64, T: F64, alpha: float) -> tuple[F64, F64, F64, F64]:
-    """R and P of both eyes by Bouguet's method: half the rotation each, then rows along the baseline."""
+    """R and P of both cameras by Bouguet's method: half the rotation each, then rows along the baseline."""
     size = (left.width, left.height)
     R, T = R.reshape(3, 3), T.reshape(3, 1)
     flags = cv2.CALIB_ZERO_DISPARITY
@@ -268,7 +268,7 @@ def _check_baseline(baseline_m: float, label: str) -> None:
     if not MIN_BASELINE_M <= baseline_m <= MAX_BASELINE_M:
         raise CalibrationError(
             f"{label}: baseline {baseline_m:g} m is outside {MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m: "
-            "units are metres, it was probably written in millimetres or as a ratio; P[0,3] is -fx * baseline"
+            "units are meters, it was probably written in millimeters or as a ratio; P[0,3] is -fx * baseline"
         )
 
 
@@ -309,8 +309,8 @@ def _check_right_is_right(P: F64, label: str) -> None:
     baseline_m, vertical_m = -P[0, 3] / P[0, 0], P[1, 3] / P[1, 1]
     if abs(vertical_m) > 1e-6:
         raise CalibrationError(
-            f"{label}: P[1,3] = {P[1, 3]:g} is a vertical baseline of {vertical_m:g} m, it is 0 for eyes side by side: "
-            "rotate the images by 90 degrees and calibrate them as left and right"
+            f"{label}: P[1,3] = {P[1, 3]:g} is a vertical baseline of {vertical_m:g} m, it is 0 for cameras side by "
+            "side: rotate the images by 90 degrees and calibrate them as left and right"
         )
     if P[0, 3] > 0:
         raise CalibrationError(

@@ -25,7 +25,7 @@ class Triangulation:
     Attributes:
         f_px, fy_px: focal lengths along x and y, pixels.
         cx_px, cy_px: principal point of the left camera, pixels.
-        baseline_m: distance of the cameras, metres.
+        baseline_m: distance of the cameras, meters.
         doffs_px: cx_left - cx_right; 0 for disparities from which it is taken away already.
     """
 
@@ -48,7 +48,7 @@ class Triangulation:
             left_px, right_px: float64 (N, 2), px; of the right ones only x is used.
 
         Returns:
-            float64 (N, 3): X, Y, Z in the left rectified frame, metres; NaN where the disparity is not above doffs.
+            float64 (N, 3): X, Y, Z in the left rectified frame, meters; NaN where the disparity is not above doffs.
         """
         x, y = left_px.T
         d = x - right_px[:, 0] - self.doffs_px
@@ -58,6 +58,6 @@ class Triangulation:
 
 @compiled()
 def pixel_depth(disparity_px: np.float32, doffs_px: np.float32, f_baseline: np.float32) -> np.float32:
-    """Z of one disparity, metres; NaN where it is NaN or not above the offset."""
+    """Z of one disparity, meters; NaN where it is NaN or not above the offset."""
     d = disparity_px - doffs_px
     return f_baseline / d if d > np.float32(0) else np.float32(np.nan)

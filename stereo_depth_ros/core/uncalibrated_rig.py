@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two pictures whose rows were made to agree without a calibration of the rig: disparities, no metres."""
+"""Two images whose rows were made to agree without a calibration of the rig: disparities, no meters."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["UncalibratedRig"]
 
 @dataclass(frozen=True, eq=False)
 class UncalibratedRig:
-    """What a :class:`~stereo_depth_ros.core.rig.StereoRig` is to the path, but for metres.
+    """What a :class:`~stereo_depth_ros.core.rig.StereoRig` is to the path, but for meters.
 
     Attributes:
-        left, right: K and D of the raw pictures; R maps rays to the rectified pixels that P, [I | 0], then gives: it
+        left, right: K and D of the raw images; R maps rays to the rectified pixels that P, [I | 0], then gives: it
             is a homography and no rotation.
         topics: where each came from, for the messages of errors.
     """
@@ -41,37 +41,38 @@ class UncalibratedRig:
         size: tuple[int, int],
         cameras: tuple[CameraModel, CameraModel] | None = None,
     ) -> UncalibratedRig:
-        """From pixels of pictures without distortion to rectified ones.
+        """From pixels of images without distortion to rectified ones.
 
         Args:
             H_left, H_right: float64 (3, 3).
-            size: width, height of raw and rectified pictures, px.
-            cameras: whose distortion is removed first; of them K and D are used. None for pictures that have none.
+            size: width, height of raw and rectified images, px.
+            cameras: whose distortion is removed first; of them K and D are used. None for images that have none.
 
         Raises:
             CalibrationError: cameras of another size.
         """
-        bare = CameraModel(*size, "plumb_bob", np.eye(3), np.zeros(5), np.eye(3), np.eye(3, 4))
-        eyes = cameras or (bare, replace(bare))
-        for camera, eye in zip(eyes, ("left", "right"), strict=True):
+        bare = CameraModel(*size, "plumb_bob", np.identity(3), np.zeros(5), np.identity(3), np.identity(4)[:3])
+        sides = cameras or (bare, replace(bare))
+        for camera, side in zip(sides, ("left", "right"), strict=True):
             if (camera.width, camera.height) != size:
                 raise CalibrationError(
-                    f"{eye} camera is {camera.width}x{camera.height}, the homographies are for {size[0]}x{size[1]}: "
-                    "estimate them from pictures of this camera"
+                    f"{side} camera is {camera.width}x{camera.height}, the homographies are for {size[0]}x{size[1]}: "
+                    "estimate them from images of this camera"
                 )
         left, right = (
-            replace(camera, R=H @ camera.K, P=np.eye(3, 4)) for camera, H in zip(eyes, (H_left, H_right), strict=True)
+            replace(camera, R=H @ camera.K, P=np.identity(4)[:3])
+            for camera, H in zip(sides, (H_left, H_right), strict=True)
         )
         return cls(left, right)
 
     @property
     def width(self) -> int:
-        """Width of raw and rectified pictures, px."""
+        """Width of raw and rectified images, px."""
         return self.left.width
 
     @property
     def height(self) -> int:
-        """Height of raw and rectified pictures, px."""
+        """Height of raw and rectified images, px."""
         return self.left.height
 
     def check_image(self, width: int, height: int, topic: str) -> None:
@@ -83,5 +84,5 @@ class UncalibratedRig:
         if (width, height) != (self.width, self.height):
             raise CalibrationError(
                 f"{topic}: the image is {width}x{height}, the homographies are for {self.width}x{self.height}: "
-                "estimate them from pictures of this size"
+                "estimate them from images of this size"
             )

@@ -16,7 +16,7 @@ from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, Frame
 
-__all__ = ["IMAGE_SUFFIXES", "check_sizes", "list_images", "read_frame", "read_image", "read_picture"]
+__all__ = ["IMAGE_SUFFIXES", "check_sizes", "list_images", "read_disparity_image", "read_frame", "read_image"]
 
 
 IMAGE_SUFFIXES = (".png", ".ppm", ".pgm", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -28,7 +28,7 @@ def list_images(folder: Path, pattern: str = "*") -> list[Path]:
 
 
 def read_image(path: Path) -> U8:
-    """uint8, (H, W) grey or (H, W, 3) in the order blue, green, red; deeper images are scaled to 8 bits.
+    """uint8, (H, W) gray or (H, W, 3) in the order blue, green, red; deeper images are scaled to 8 bits.
 
     Raises:
         BagError: not a readable image.
@@ -36,16 +36,16 @@ def read_image(path: Path) -> U8:
     return np.asarray(_read(path, cv2.IMREAD_ANYCOLOR), np.uint8)
 
 
-def read_picture(path: Path) -> npt.NDArray[Any]:
-    """The one channel of a picture of disparities, (H, W), of the type that the file has.
+def read_disparity_image(path: Path) -> npt.NDArray[Any]:
+    """The one channel of an image of disparities, (H, W), of the type that the file has.
 
     Raises:
         BagError: not a readable image of one channel.
     """
-    picture = _read(path, cv2.IMREAD_UNCHANGED)
-    if picture.ndim != 2:
-        raise BagError(f"{path} has {picture.shape[2]} channels, a disparity image has one: copy it again")
-    return picture
+    image = _read(path, cv2.IMREAD_UNCHANGED)
+    if image.ndim != 2:
+        raise BagError(f"{path} has {image.shape[2]} channels, a disparity image has one: copy it again")
+    return image
 
 
 def _read(path: Path, flags: int) -> npt.NDArray[Any]:

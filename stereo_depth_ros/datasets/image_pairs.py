@@ -51,7 +51,7 @@ def find_image_pairs(folder: Path, left: str | None = None, right: str | None = 
     """Image files whose paths differ in the word for the camera: left, right; l, r; cam0, cam1; image_0, image_1.
 
     Numbers are compared without leading zeros, letters without case, suffixes of image files not at all. A folder named
-    after a camera tells the side, then the file name. Masks (names with that word) and hidden files are no pictures.
+    after a camera tells the side, then the file name. Masks (names with that word) and hidden files are no images.
 
     Args:
         folder: where they are, in it or in folders below.
@@ -59,7 +59,7 @@ def find_image_pairs(folder: Path, left: str | None = None, right: str | None = 
             in a pair.
 
     Raises:
-        BagError: no pairs, files of one side only, or two files that could be the same picture of a pair.
+        BagError: no pairs, files of one side only, or two files that could be the same image of a pair.
     """
     left_out: dict[Path, str] = {}
     if left is not None and right is not None:
@@ -74,11 +74,11 @@ def find_image_pairs(folder: Path, left: str | None = None, right: str | None = 
             break
     else:
         examples = " and ".join(next(iter(side)).name for side in texts)
-        raise BagError(f"{folder}: no left picture has the number of a right one, such as {examples}: {_NAMING}")
+        raise BagError(f"{folder}: no left image has the number of a right one, such as {examples}: {_NAMING}")
     pairs = [(_single(sides[0][key], "left"), _single(sides[1][key], "right")) for key in keys]
     for side, other in zip(sides, reversed(_SIDES), strict=True):
         alone = [path for key in sorted(side.keys() - set(keys)) for path in side[key]]
-        left_out |= {path: f"{path} has no {other} picture beside it: it is left out" for path in alone}
+        left_out |= {path: f"{path} has no {other} image beside it: it is left out" for path in alone}
     return ImagePairs(pairs, list(left_out), list(left_out.values()))
 
 
@@ -165,19 +165,19 @@ def _grouped(texts: Texts, common: Callable[[str], Key]) -> dict[Key, list[Path]
 
 def _single(paths: list[Path], side: str) -> Path:
     if len(paths) > 1:
-        raise BagError(f"{paths[0]} and {paths[1]} are the {side} picture of one pair: remove one or rename it")
+        raise BagError(f"{paths[0]} and {paths[1]} are the {side} image of one pair: remove one or rename it")
     return paths[0]
 
 
 def _check_patterns(left: Texts, right: Texts) -> None:
     if both := left.keys() & right.keys():
-        raise BagError(f"{min(both)} is a left and a right picture: give patterns that no file matches both")
+        raise BagError(f"{min(both)} is a left and a right image: give patterns that no file matches both")
 
 
 def _check_sides(folder: Path, left: Texts, right: Texts) -> None:
     if not left and not right:
-        raise BagError(f"{folder} has no pictures of a left and a right eye: {_NAMING}")
+        raise BagError(f"{folder} has no images of a left and a right camera: {_NAMING}")
     for paths, here, missing in ((right, left, "right"), (left, right, "left")):
         if not paths:
             example = next(iter(here)).name
-            raise BagError(f"{folder} has {len(here)} pictures as {example} and none of the {missing} eye: {_NAMING}")
+            raise BagError(f"{folder} has {len(here)} images as {example} and none of the {missing} camera: {_NAMING}")

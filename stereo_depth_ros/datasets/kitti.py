@@ -17,7 +17,7 @@ from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32, F64
 from stereo_depth_ros.datasets.dataset import DatasetFrame
-from stereo_depth_ros.datasets.image_files import list_images, read_frame, read_image, read_picture
+from stereo_depth_ros.datasets.image_files import list_images, read_disparity_image, read_frame, read_image
 from stereo_depth_ros.datasets.kitti_stamps import frame_numbers, read_stamps
 
 __all__ = ["KittiDataset", "read_calibration", "read_truth", "rig_from_calibration"]
@@ -106,7 +106,7 @@ def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size:
     """The rig of two cameras.
 
     Images of the size S_rect, and all of odometry, are rectified; images of the size S are raw and have K, D, R_rect.
-    The rows of the colour cameras are aligned; the millimetres that their P has vertically are left out.
+    The rows of the color cameras are aligned; the millimeters that their P has vertically are left out.
 
     Args:
         values: what :func:`read_calibration` gives.
@@ -170,12 +170,12 @@ def _find_calibration(folder: Path, image: str) -> Path:
 def read_truth(path: Path) -> F32:
     """True disparities of the stereo benchmarks, float32 (H, W), px, NaN where unknown.
 
-    The 16-bit pictures hold 256 levels a pixel, 0 is unknown.
+    The 16-bit images hold 256 levels a pixel, 0 is unknown.
 
     Raises:
-        BagError: not a readable 16-bit picture.
+        BagError: not a readable 16-bit image.
     """
-    picture = read_picture(path)
-    if picture.dtype != np.uint16:
-        raise BagError(f"{path} is {picture.dtype}, KITTI's disparities are uint16: copy it again")
-    return np.where(picture > 0, picture.astype(np.float32) / 256, np.float32(np.nan))
+    image = read_disparity_image(path)
+    if image.dtype != np.uint16:
+        raise BagError(f"{path} is {image.dtype}, KITTI's disparities are uint16: copy it again")
+    return np.where(image > 0, image.astype(np.float32) / 256, np.float32(np.nan))

@@ -58,7 +58,7 @@ class MiddleburyDataset:
         width, height = self.scene.size
         calibration_file = calibration_file or folder / "calib.txt"
         if focal_px is not None and baseline_m is not None:
-            self.rig = _centred_rig(focal_px, baseline_m, doffs or 0.0, (width, height))
+            self.rig = _centered_rig(focal_px, baseline_m, doffs or 0.0, (width, height))
         elif calibration_file.exists():
             self.rig = _read_rig(calibration_file, (width, height))
         else:
@@ -84,16 +84,16 @@ class MiddleburyDataset:
                 f"{folder} has neither calib.txt nor dmin.txt, its depth is not metric: put one there, or {options}"
             )
         offset = doffs if doffs is not None else _read_number(dmin) / scale
-        return _centred_rig(_VIEW_FOCAL_PX / scale, _VIEW_BASELINE_M, offset, size)
+        return _centered_rig(_VIEW_FOCAL_PX / scale, _VIEW_BASELINE_M, offset, size)
 
 
-def _centred_rig(focal_px: float, baseline_m: float, doffs: float, size: tuple[int, int]) -> StereoRig:
+def _centered_rig(focal_px: float, baseline_m: float, doffs: float, size: tuple[int, int]) -> StereoRig:
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     return StereoRig.from_rectified(focal_px, focal_px, cx, cx + doffs, cy, baseline_m, size)
 
 
 def _read_rig(path: Path, size: tuple[int, int]) -> StereoRig:
-    """From a calib.txt: cam0, cam1 as [fx 0 cx; 0 fy cy; 0 0 1], baseline in millimetres."""
+    """From a calib.txt: cam0, cam1 as [fx 0 cx; 0 fy cy; 0 0 1], baseline in millimeters."""
     values = dict(line.split("=", 1) for line in path.read_text().splitlines() if "=" in line)
     try:
         K_left, K_right = (

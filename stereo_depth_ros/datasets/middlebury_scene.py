@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.types import F32
-from stereo_depth_ros.datasets.image_files import read_image, read_picture
+from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
 
 __all__ = ["MiddleburyScene", "view_scale"]
 
@@ -28,7 +28,7 @@ _LAYOUTS = (
     ("scene1.row3.col3.*", "scene1.row3.col5.*", "truedisp.row3.col3.*"),
     ("*_left.png", "*_right.png", "*_disp.npz"),
 )
-# 2014 and ETH3D; the second evaluation; 2003. All are white where both eyes see the point.
+# 2014 and ETH3D; the second evaluation; 2003. All are white where both cameras see the point.
 _VISIBLE_MASKS = ("mask0nocc.png", "nonocc.png", "occl.png")
 _WHITE = 255
 
@@ -66,7 +66,7 @@ class MiddleburyScene:
         return None if self.truth_path is None else _read_truth(self.truth_path, self._truth_scale())
 
     def visible(self) -> npt.NDArray[np.bool_] | None:
-        """bool (H, W), true where the scene's own mask says that both eyes see the point; None without a mask."""
+        """bool (H, W), true where the scene's own mask says that both cameras see the point; None without a mask."""
         path = next((self.folder / name for name in _VISIBLE_MASKS if (self.folder / name).exists()), None)
         if path is None:
             return None
@@ -74,7 +74,7 @@ class MiddleburyScene:
         return np.equal(mask if mask.ndim == 2 else mask[..., 0], _WHITE)
 
     def _truth_scale(self) -> float:
-        """Grey levels per pixel of disparity, as the dataset's pages give them for each year and size."""
+        """Gray levels per pixel of disparity, as the dataset's pages give them for each year and size."""
         width, name = self.size[0], self.left_path.stem
         if name == "view1":
             return view_scale(width)
@@ -113,11 +113,11 @@ def _single(folder: Path, scene: str, pattern: str) -> Path | None:
 
 
 def _read_truth(path: Path, scale: float) -> F32:
-    """float32 (H, W), NaN where unknown: infinite in .pfm and .npz, 0 in pictures of ``scale`` levels a pixel."""
+    """float32 (H, W), NaN where unknown: infinite in .pfm and .npz, 0 in images of ``scale`` levels a pixel."""
     if path.suffix == ".npz":
         truth = _read_npz(path)
     else:
-        truth = read_picture(path).astype(np.float32)
+        truth = read_disparity_image(path).astype(np.float32)
         if path.suffix != ".pfm":
             truth = np.where(truth > 0, truth / np.float32(scale), np.float32(np.nan))
     truth[~np.isfinite(truth)] = np.nan

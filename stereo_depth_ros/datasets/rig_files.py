@@ -53,13 +53,13 @@ def _of_folder(folder: Path) -> tuple[Path, Path]:
 
 def _with_partner(path: Path) -> tuple[Path, Path]:
     """Left and right file, from one of them."""
-    eye, other = ("left", "right") if "left" in path.name else ("right", "left")
-    before, _, after = path.name.rpartition(eye)
-    partner = path.with_name(f"{before}{other}{after}") if eye in path.name else path
+    side, other = ("left", "right") if "left" in path.name else ("right", "left")
+    before, _, after = path.name.rpartition(side)
+    partner = path.with_name(f"{before}{other}{after}") if side in path.name else path
     if partner == path or not partner.exists():
-        beside = f"no {partner.name} is beside it" if partner != path else "its name tells neither eye"
+        beside = f"no {partner.name} is beside it" if partner != path else "its name tells neither camera"
         raise CalibrationError(f"{path} is one camera and {beside}: give LEFT.yaml and RIGHT.yaml")
-    return (path, partner) if eye == "left" else (partner, path)
+    return (path, partner) if side == "left" else (partner, path)
 
 
 def _of_bag(path: Path, left: str | None, right: str | None) -> StereoRig:

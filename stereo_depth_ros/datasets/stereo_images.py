@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of pictures before there is a calibration: image files in a folder, or the raw images of a bag."""
+"""Pairs of images before there is a calibration: image files in a folder, or the raw images of a bag."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from stereo_depth_ros.datasets.image_pairs import find_image_pairs
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.image import decode
 
-__all__ = ["BagPictures", "FolderPictures", "PicturePair", "StereoPictures", "open_pictures"]
+__all__ = ["BagImages", "FolderImages", "ImagePair", "StereoImages", "open_stereo_images"]
 
 _BAG_SUFFIXES = (".mcap", ".db3", ".bag")
-_TOLERANCE_S = 0.005  # eyes that are exposed by one trigger, stamped by two clocks
+_TOLERANCE_S = 0.005  # cameras that are exposed by one trigger, stamped by two clocks
 
 
 @dataclass(frozen=True)
-class PicturePair:
-    """Pictures of both eyes, uint8 (H, W) grey, not necessarily of one size, and how messages name the pair."""
+class ImagePair:
+    """Images of both cameras, uint8 (H, W) gray, not necessarily of one size, and how messages name the pair."""
 
     name: str
     left: U8
     right: U8
 
 
-class StereoPictures(Protocol):
-    """Pairs of pictures.
+class StereoImages(Protocol):
+    """Pairs of images.
 
     Attributes:
         warnings: what was left out, a sentence each; final when all pairs have been read.
-        dense: a recording, in which one picture is like the next.
+        dense: a recording, in which one image is like the next.
     """
 
     warnings: list[str]
@@ -50,11 +50,11 @@ class StereoPictures(Protocol):
     def __len__(self) -> int:
         """Number of pairs, or an upper bound of it."""
 
-    def __iter__(self) -> Iterator[PicturePair]:
+    def __iter__(self) -> Iterator[ImagePair]:
         """The pairs in their order."""
 
 
-def open_pictures(place: Path, left: str | None = None, right: str | None = None) -> StereoPictures:
+def open_stereo_images(place: Path, left: str | None = None, right: str | None = None) -> StereoImages:
     """The pairs of a bag or of a folder.
 
     Args:
@@ -65,12 +65,12 @@ def open_pictures(place: Path, left: str | None = None, right: str | None = None
         BagError, TopicError: nothing there, or no pairs.
     """
     if not place.exists():
-        raise BagError(f"{place} does not exist: name a folder of pictures, or a bag")
+        raise BagError(f"{place} does not exist: name a folder of images, or a bag")
     is_bag = place.is_file() or any(path.suffix in _BAG_SUFFIXES for path in place.iterdir())
-    return BagPictures(place, left, right) if is_bag else FolderPictures(place, left, right)
+    return BagImages(place, left, right) if is_bag else FolderImages(place, left, right)
 
 
-class FolderPictures:
+class FolderImages:
     """Image files in a folder or below it, paired by :func:`find_image_pairs`.
 
     Args:
@@ -85,7 +85,9 @@ class FolderPictures:
 
     def __init__(self, folder: Path, left: str | None = None, right: str | None = None) -> None:
         if (left is None) != (right is None):
-            raise BagError("--left or --right alone does not tell the other eye's files: give both patterns, or none")
+            raise BagError(
+                "--left or --right alone does not tell the other camera's files: give both patterns, or none"
+            )
         try:
             found = find_image_pairs(folder, left, right)
         except BagError as error:
@@ -95,9 +97,9 @@ class FolderPictures:
     def __len__(self) -> int:
         return len(self._pairs)
 
-    def __iter__(self) -> Iterator[PicturePair]:
+    def __iter__(self) -> Iterator[ImagePair]:
         for left, right in self._pairs:
-            yield PicturePair(left.name, _gray(left), _gray(right))
+            yield ImagePair(left.name, _gray(left), _gray(right))
 
 
 def _gray(path: Path) -> U8:
@@ -105,7 +107,7 @@ def _gray(path: Path) -> U8:
     return to_gray(Frame(pixels, 0, "", "mono8" if pixels.ndim == 2 else "bgr8"))
 
 
-class BagPictures:
+class BagImages:
     """The raw images of a bag, paired by their stamps, which may differ by 5 ms; camera infos are not needed.
 
     Args:
@@ -137,7 +139,7 @@ class BagPictures:
     def __len__(self) -> int:
         return self._count
 
-    def __iter__(self) -> Iterator[PicturePair]:
+    def __iter__(self) -> Iterator[ImagePair]:
         config = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=_TOLERANCE_S)
         pairing: StereoPairing[BagMessage] = StereoPairing(config)
         with BagReader(self._path) as reader:
@@ -152,6 +154,6 @@ class BagPictures:
             self.warnings.append(f"{self._path}: {lost} images have no partner within {1e3 * _TOLERANCE_S:g} ms")
 
 
-def _decoded(reader: BagReader, left: BagMessage, right: BagMessage) -> PicturePair:
+def _decoded(reader: BagReader, left: BagMessage, right: BagMessage) -> ImagePair:
     grays = [to_gray(decode(reader.deserialize(message), message.topic)) for message in (left, right)]
-    return PicturePair(f"{cdr_stamp_ns(left.data) / 1e9:.3f} s", *grays)
+    return ImagePair(f"{cdr_stamp_ns(left.data) / 1e9:.3f} s", *grays)

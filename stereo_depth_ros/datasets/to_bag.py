@@ -73,12 +73,12 @@ class _PairWriter:
         self._types = RosbagsTypes()
 
     def write(self, frame: DatasetFrame) -> None:
-        for eye, image, camera in (("left", frame.left, self._rig.left), ("right", frame.right, self._rig.right)):
+        for side, image, camera in (("left", frame.left, self._rig.left), ("right", frame.right, self._rig.right)):
             stamp_ns = image.stamp_ns
             info = camera_info_message(self._types, camera, stamp_ns)
             message = image_message(self._types, image.pixels, image.encoding, stamp_ns, image.frame_id)
-            self._bag.write(f"/{eye}/camera_info", info, stamp_ns)
-            self._bag.write(f"/{eye}/image_raw", message, stamp_ns)
+            self._bag.write(f"/{side}/camera_info", info, stamp_ns)
+            self._bag.write(f"/{side}/image_raw", message, stamp_ns)
         if frame.truth_disparity_px is not None:
             self._write_truth(frame.truth_disparity_px, frame.left)
 

@@ -16,21 +16,21 @@ from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.types import Frame, StereoPair
 from stereo_depth_ros.diagnosis.checks.streams import NEAR
 from stereo_depth_ros.diagnosis.finding import Finding, Level
-from stereo_depth_ros.diagnosis.survey import PAIRS_LOOKED_AT, EyeRecord, StereoSetUp
+from stereo_depth_ros.diagnosis.survey import PAIRS_LOOKED_AT, CameraRecord, StereoSetup
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.image import decode
 
-__all__ = ["set_up_of_bag"]
+__all__ = ["survey_bag"]
 
 _AFTER_STAMP = 12  # of CDR bytes: encapsulation and stamp differ between equal camera infos
 
 
-def set_up_of_bag(
+def survey_bag(
     path: Path,
     left: str | None = None,
     right: str | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> StereoSetUp:
+) -> StereoSetup:
     """Reads the stamps of all images and the camera infos, decodes a few pairs.
 
     Args:
@@ -48,10 +48,10 @@ def set_up_of_bag(
             topics = find_stereo_topics(types, left, right)
         except TopicError as error:
             raise TopicError(f"{path}: {error}") from error
-        return _Gathering(reader, topics).run(progress)
+        return _BagSurvey(reader, topics).run(progress)
 
 
-class _Gathering:
+class _BagSurvey:
     """One pass over the stamps and camera infos, then a look at the chosen pairs."""
 
     def __init__(self, reader: BagReader, topics: StereoTopics) -> None:
@@ -63,15 +63,15 @@ class _Gathering:
         }
         self._findings: list[Finding] = []
 
-    def run(self, progress: Callable[[int, int], None]) -> StereoSetUp:
-        """See :func:`set_up_of_bag`."""
+    def run(self, progress: Callable[[int, int], None]) -> StereoSetup:
+        """See :func:`survey_bag`."""
         if self._reader.warning:
             warning = Finding("bag", Level.WARNING, self._reader.warning, "whole", "record again, or repair it")
             self._findings.append(warning)
         self._read(progress)
         pairs = self._pairs()
         topics = self._topics
-        return StereoSetUp(
+        return StereoSetup(
             str(self._reader.path),
             self._record("left", topics.left_image, topics.left_info),
             self._record("right", topics.right_image, topics.right_info),
@@ -95,17 +95,17 @@ class _Gathering:
                 self._infos[message.topic].setdefault(message.data[_AFTER_STAMP:], message)
             progress(number, total)
 
-    def _record(self, eye: str, image: str, info: str | None) -> EyeRecord:
+    def _record(self, side: str, image: str, info: str | None) -> CameraRecord:
         infos = []
         for message in self._infos.get(info or "", {}).values():
             try:
                 infos.append(self._reader.deserialize(message))
             except MessageError as error:
-                self._findings.append(Finding.refused(f"{eye} camera info", error))
-        return EyeRecord(image, info, [stamp_ns for stamp_ns, _ in self._images[image]], infos)
+                self._findings.append(Finding.refused(f"{side} camera info", error))
+        return CameraRecord(image, info, [stamp_ns for stamp_ns, _ in self._images[image]], infos)
 
     def _pairs(self) -> list[StereoPair]:
-        """Decoded pairs from all over the bag; of an eye that cannot be decoded the first error is told."""
+        """Decoded pairs from all over the bag; of a camera that cannot be decoded the first error is told."""
         paired = self._paired()
         chosen = np.unique(np.linspace(0, len(paired) - 1, PAIRS_LOOKED_AT).astype(int)) if paired else ()
         pairs = []

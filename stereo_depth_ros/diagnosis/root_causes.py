@@ -11,11 +11,11 @@ from stereo_depth_ros.diagnosis.finding import Finding, Level, is_wrong
 
 __all__ = ["settled"]
 
-_ORDER, _REFERENCE, _SIGN = "order of the eyes", "left P[:, 3]", "right P[0,3]"
+_ORDER, _REFERENCE, _SIGN = "order of the cameras", "left P[:, 3]", "right P[0,3]"
 _FRAMES = ("left frame_id", "right frame_id")
 # what follows, and from what
 _CONSEQUENCES = {
-    "rows": ("left centre", "right centre", "left field of view", "right field of view", "rectified picture"),
+    "rows": ("left center", "right center", "left field of view", "right field of view", "rectified image"),
     "sizes": ("left image size", "right image size"),
 }
 
@@ -36,17 +36,17 @@ def settled(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def _remedies_of_order(findings: Sequence[Finding]) -> dict[str, str]:
-    """Camera infos and names only show that something is exchanged; the pictures show what."""
+    """Camera infos and names only show that something is exchanged; the images show what."""
     order = next((finding for finding in findings if finding.check == _ORDER), None)
     if order is None or order.level is Level.LEFT_OUT:
         return {}
     if order.level is Level.ERROR:
         return dict.fromkeys((_REFERENCE, _SIGN, *_FRAMES), order.remedy)
-    remedies = dict.fromkeys(_FRAMES, "the pictures are in order: exchange the frame_ids")
+    remedies = dict.fromkeys(_FRAMES, "the images are in order: exchange the frame_ids")
     if is_wrong(findings, _REFERENCE):
         return remedies | dict.fromkeys(
-            (_REFERENCE, _SIGN), "the pictures are in order: exchange the camera infos, or their P"
+            (_REFERENCE, _SIGN), "the images are in order: exchange the camera infos, or their P"
         )
     if any(finding.check == _SIGN and finding.figures.get("value") for finding in findings):
-        remedies[_SIGN] = "the pictures are in order: change the sign of P[0,3]"
+        remedies[_SIGN] = "the images are in order: change the sign of P[0,3]"
     return remedies

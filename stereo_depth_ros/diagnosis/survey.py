@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the doctor is given and what it gives: a stereo set-up, and all findings with the verdict."""
+"""What the doctor is given and what it gives: a stereo setup, and all findings with the verdict."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.diagnosis.finding import Finding
 
-__all__ = ["PAIRS_LOOKED_AT", "EyeRecord", "StereoSetUp"]
+__all__ = ["PAIRS_LOOKED_AT", "CameraRecord", "StereoSetup"]
 
 PAIRS_LOOKED_AT = 6  # from all over the recording: a few hundred features each, half a second each
 
 
 @dataclass(frozen=True)
-class EyeRecord:
-    """What came from one eye.
+class CameraRecord:
+    """What came from one camera.
 
     Attributes:
         image_topic, info_topic: names; info_topic is None where there is none.
@@ -33,12 +33,12 @@ class EyeRecord:
 
 
 @dataclass(frozen=True)
-class StereoSetUp:
+class StereoSetup:
     """What there is to examine.
 
     Attributes:
         source: the bag, or the graph.
-        left, right: what came from the eyes.
+        left, right: what came from the cameras.
         pairs: a few pairs, from all over the recording.
         rectified: the names of the topics say that the images are rectified already.
         findings: what went wrong while it was gathered.
@@ -46,8 +46,8 @@ class StereoSetUp:
     """
 
     source: str
-    left: EyeRecord
-    right: EyeRecord
+    left: CameraRecord
+    right: CameraRecord
     pairs: Sequence[StereoPair] = ()
     rectified: bool = False
     findings: Sequence[Finding] = ()

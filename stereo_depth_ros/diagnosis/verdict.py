@@ -9,18 +9,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stereo_depth_ros.diagnosis.finding import Finding, Level
-from stereo_depth_ros.diagnosis.survey import StereoSetUp
+from stereo_depth_ros.diagnosis.survey import StereoSetup
 
 __all__ = ["Diagnosis"]
 
-_ROOTS = ("two eyes", "order of the eyes")  # faults from which others follow
+_ROOTS = ("two cameras", "order of the cameras")  # faults from which others follow
 
 
 @dataclass(frozen=True)
 class Diagnosis:
     """All findings, in the order of the path from the camera to depth."""
 
-    set_up: StereoSetUp
+    setup: StereoSetup
     findings: Sequence[Finding] = field(default_factory=tuple)
 
     @property
@@ -67,14 +67,14 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """For JSON: the verdict, the topics, and a dict for each finding."""
-        eyes = {"left": self.set_up.left, "right": self.set_up.right}
+        sides = {"left": self.setup.left, "right": self.setup.right}
         return {
-            "source": self.set_up.source,
+            "source": self.setup.source,
             "level": self.level.name.lower(),
             "healthy": self.level is Level.OK,
             "verdict": self.verdict,
             "search": self.search,
-            "topics": {eye: {"image": r.image_topic, "camera_info": r.info_topic} for eye, r in eyes.items()},
-            "pairs_looked_at": len(self.set_up.pairs),
+            "topics": {side: {"image": r.image_topic, "camera_info": r.info_topic} for side, r in sides.items()},
+            "pairs_looked_at": len(self.setup.pairs),
             "findings": [finding.to_json() for finding in self.findings],
         }

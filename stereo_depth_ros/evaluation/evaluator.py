@@ -52,10 +52,10 @@ class Evaluation:
         config: parameters in use, the search range included.
         result: disparities of the method.
         errors: over all pixels with truth.
-        nonocc: over those that both eyes see.
+        nonocc: over those that both cameras see.
         foreground, background: over the two parts of KITTI's object map; None without one.
         confidence: None where the method has none, or matched nothing.
-        occlusion: where it is known from which pixels both eyes see: "mask" of the dataset, or "truth".
+        occlusion: where it is known from which pixels both cameras see: "mask" of the dataset, or "truth".
         ms: median milliseconds of ``runs`` calls after a first one.
     """
 

@@ -61,7 +61,7 @@ class DepthErrors:
 
     Attributes:
         density: share of truth pixels that have a depth, 0..1.
-        median_m: median absolute error, metres.
+        median_m: median absolute error, meters.
         median_relative: median of absolute error over true depth.
     """
 
@@ -104,8 +104,8 @@ def depth_errors(depth_m: F32, truth_m: F32) -> DepthErrors:
     """Compares depths with the truth.
 
     Args:
-        depth_m: float32 (H, W), metres, not finite where invalid.
-        truth_m: float32 (H, W), metres, not finite where unknown.
+        depth_m: float32 (H, W), meters, not finite where invalid.
+        truth_m: float32 (H, W), meters, not finite where unknown.
 
     Raises:
         ImageError: shapes differ.
@@ -140,5 +140,5 @@ def _share(part: int, whole: int) -> float:
 
 
 def _quantile(values: F64, share: float) -> float:
-    """With linear interpolation between neighbours, so that the half is the median."""
+    """With linear interpolation between neighbors, so that the half is the median."""
     return float(np.quantile(values, share)) if values.size else float("nan")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which pixels of the left image both eyes see, from the true disparities of the left eye alone."""
+"""Which pixels of the left image both cameras see, from the true disparities of the left camera alone."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from stereo_depth_ros.core.types import F32
 
 __all__ = ["visible_pixels"]
 
-# Neighbours on a surface whose disparity rises by up to 1/2 px a pixel differ by less where they share a right pixel.
+# Neighbors on a surface whose disparity rises by up to 1/2 px a pixel differ by less where they share a right pixel.
 _OCCLUDER_STEP_PX = 1.0
 
 
 def visible_pixels(truth_px: F32) -> npt.NDArray[np.bool_]:
-    """Pixels that the right eye sees too.
+    """Pixels that the right camera sees too.
 
     The truth is warped forward to the nearest right pixels. A pixel is occluded where another of its row lands on the
     same right pixel with a disparity that is larger by at least 1 px, and where it leaves the right image. Surfaces

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Refuses scenes on which every method would be wrong: swapped eyes, and truth of another scale."""
+"""Refuses scenes on which every method would be wrong: swapped cameras, and truth of another scale."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F32
 from stereo_depth_ros.evaluation.scenes import Scene
-from stereo_depth_ros.stages.camera_swap import EyeOrder
+from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 
 __all__ = ["check_plausible"]
 
@@ -26,10 +26,10 @@ def check_plausible(scene: Scene) -> None:
     """Matches small copies of the images by blocks and looks whether the truth can be theirs.
 
     Raises:
-        ImageError: the eyes look swapped, or the truth looks scaled by a constant.
+        ImageError: the cameras look swapped, or the truth looks scaled by a constant.
     """
     try:
-        EyeOrder(min(scene.doffs_px, 0.0)).check(scene.left, scene.right)
+        CameraSwapDetector(min(scene.doffs_px, 0.0)).check(scene.left, scene.right)
     except ImageError as error:
         raise ImageError(f"{str(error).partition(': exchange')[0]}: exchange the left and the right images") from error
     found, truth = _matches(scene)
@@ -45,7 +45,7 @@ def check_plausible(scene: Scene) -> None:
         raise ImageError(
             f"the truth's scale looks wrong: it is about {scale:.3g} times the disparities of the images; "
             f"{100 * as_given:.0f} % of the matches agree with it as given, {100 * scaled:.0f} % with it divided by "
-            f"{scale:.3g}: check how many grey levels of the truth make a pixel, and at which size it was made"
+            f"{scale:.3g}: check how many gray levels of the truth make a pixel, and at which size it was made"
         )
 
 
@@ -71,5 +71,5 @@ def _matches(scene: Scene) -> tuple[F32, F32]:
     stereo.setTextureThreshold(100)
     stereo.setSpeckleWindowSize(100)
     stereo.setSpeckleRange(32)
-    fixed = stereo.compute(left, right)
-    return np.where(fixed >= 16 * first, fixed.astype(np.float32) / 16, np.float32(np.nan)), truth
+    disparity_x16 = stereo.compute(left, right)
+    return np.where(disparity_x16 >= 16 * first, disparity_x16.astype(np.float32) / 16, np.float32(np.nan)), truth

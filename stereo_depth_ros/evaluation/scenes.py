@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from stereo_depth_ros.core.errors import BagError, ImageError
 from stereo_depth_ros.core.types import F32, U8
-from stereo_depth_ros.datasets.image_files import list_images, read_image, read_picture
+from stereo_depth_ros.datasets.image_files import list_images, read_disparity_image, read_image
 from stereo_depth_ros.datasets.kitti import read_truth
 from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene
 from stereo_depth_ros.evaluation.occlusion import visible_pixels
@@ -25,7 +25,7 @@ __all__ = ["Scene", "SceneSet", "SceneSource", "find_scenes", "make_scene"]
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
-# left, right, truth of all pixels, truth of those that both eyes see: KITTI 2015 and 2012
+# left, right, truth of all pixels, truth of those that both cameras see: KITTI 2015 and 2012
 _KITTI_LAYOUTS = (
     ("image_2", "image_3", "disp_occ_0", "disp_noc_0"),
     ("image_0", "image_1", "disp_occ", "disp_noc"),
@@ -38,9 +38,9 @@ class Scene:
     """One rectified pair and its truth.
 
     Attributes:
-        left, right: uint8 (H, W), grey.
+        left, right: uint8 (H, W), gray.
         truth_px: float32 (H, W), x_left - x_right, NaN where unknown.
-        visible: bool (H, W), true where both eyes see the point; means nothing where the truth is unknown.
+        visible: bool (H, W), true where both cameras see the point; means nothing where the truth is unknown.
         occlusion: where ``visible`` comes from: "mask" (of the dataset) or "truth" (computed from ``truth_px``).
         foreground: bool (H, W), true on the objects of KITTI's obj_map; None without one.
         doffs_px: cx_left - cx_right, the disparity of infinity; 0 where it is not known.
@@ -147,7 +147,7 @@ def _load_kitti(folders: tuple[Path, Path, Path, Path], name: str) -> Scene:
         _gray(right / name),
         read_truth(truth / name),
         np.isfinite(read_truth(visible / name)) if (visible / name).exists() else None,
-        np.greater(read_picture(objects), 0) if objects.exists() else None,
+        np.greater(read_disparity_image(objects), 0) if objects.exists() else None,
     )
 
 

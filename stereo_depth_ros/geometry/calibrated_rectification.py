@@ -20,7 +20,7 @@ from stereo_depth_ros.geometry.relative_pose import RelativePose
 __all__ = ["METHODS", "Area", "common_area", "rectify_calibrated", "rectifying_rotations"]
 
 METHODS = ("textbook", "opencv")
-MAX_TILT_DEG = 45.0  # of the baseline against the rows; beyond, the picture is turned upside down rather than rectified
+MAX_TILT_DEG = 45.0  # of the baseline against the rows; beyond, the image is turned upside down rather than rectified
 _EDGE_POINTS = 33
 _INSET_PX = 0.05  # rectified pixels are made of whole raw ones though the maps are rounded to 1/32 px
 
@@ -49,18 +49,18 @@ def rectify_calibrated(
     "textbook" turns the left camera so that its epipole goes to infinity along the rows, with the new y axis at right
     angles to the old optical axis, and the right camera by the same rotation after the pose's (Trucco and Verri,
     Introductory Techniques for 3-D Computer Vision, 1998, section 7.3.7; Fusiello, Trucco and Verri 2000). "opencv" is
-    ``cv2.stereoRectify``, or ``cv2.fisheye.stereoRectify``, which turns each eye by half the rotation between them.
+    ``cv2.stereoRectify``, or ``cv2.fisheye.stereoRectify``, which turns each camera by half the rotation between them.
 
     Args:
         left, right: K, D and size, raw.
-        pose: of the right camera, t in metres.
+        pose: of the right camera, t in meters.
         method: "textbook" or "opencv".
-        alpha: 0 shows only pixels that have a source in the raw pictures, 1 all raw pixels, between is between; for
+        alpha: 0 shows only pixels that have a source in the raw images, 1 all raw pixels, between is between; for
             fisheyes known as balance.
-        max_fov_deg: what is seen further than half of that from the axis is left out, as a flat picture of it would
+        max_fov_deg: what is seen further than half of that from the axis is left out, as a flat image of it would
             take most of the pixels; textbook.
-        zero_disparity: points at infinity have disparity 0; False lets each eye look at what it sees most of, so that
-            eyes that are turned towards each other have more in common; textbook.
+        zero_disparity: points at infinity have disparity 0; False lets each camera look at what it sees most of, so
+            that cameras that are turned towards each other have more in common; textbook.
 
     Raises:
         ConfigError: an unknown method, or a parameter out of its range.
@@ -72,7 +72,7 @@ def rectify_calibrated(
         check_intrinsics(camera, label)
     R_left, R_right = rectifying_rotations(pose)
     if pose.up_to_scale:
-        raise CalibrationError("the pose is known up to scale, P takes metres: measure the baseline, and scale t by it")
+        raise CalibrationError("the pose is known up to scale, P takes meters: measure the baseline, and scale t by it")
     if method == "opencv":
         return StereoRig.from_calibration(
             left.K, left.D, right.K, right.D, pose.R, pose.t, _size(left), left.distortion_model, left.frame_id, alpha
@@ -81,22 +81,22 @@ def rectify_calibrated(
     outlines = [_Outline.of(camera, math.radians(max_fov_deg) / 2) for camera in cameras]
     if zero_disparity:
         outlines = [outlines[0].together(outlines[1])] * 2
-    f_px, centres = _intrinsics(outlines, _size(left), alpha)
+    f_px, centers = _intrinsics(outlines, _size(left), alpha)
     baselines_m = (0.0, float(np.linalg.norm(pose.t)))
     P_left, P_right = (
         np.array([[f_px, 0, cx, -f_px * baseline_m], [0, f_px, cy, 0], [0, 0, 1, 0]])
-        for (cx, cy), baseline_m in zip(centres, baselines_m, strict=True)
+        for (cx, cy), baseline_m in zip(centers, baselines_m, strict=True)
     )
     return StereoRig(replace(cameras[0], P=P_left), replace(cameras[1], P=P_right))
 
 
 def rectifying_rotations(pose: RelativePose) -> tuple[F64, F64]:
-    """R of both eyes, float64 (3, 3): the rows e1 along the baseline, e2 = z x e1 of length 1, e3 = e1 x e2.
+    """R of both cameras, float64 (3, 3): the rows e1 along the baseline, e2 = z x e1 of length 1, e3 = e1 x e2.
 
     Raises:
         CalibrationError: the right camera is not to the right of the left one, give or take 45 degrees.
     """
-    T = pose.right_centre
+    T = pose.right_center
     e1 = T / np.linalg.norm(T)
     _check_direction(e1)
     e2 = np.array([-e1[1], e1[0], 0.0]) / math.hypot(e1[0], e1[1])
@@ -105,9 +105,9 @@ def rectifying_rotations(pose: RelativePose) -> tuple[F64, F64]:
 
 
 def common_area(rig: StereoRig) -> Area:
-    """The pixels, a rectangle of the same rows and columns in both, of which both rectified pictures have a source.
+    """The pixels, a rectangle of the same rows and columns in both, of which both rectified images have a source.
 
-    Empty (width or height 0) where they have none in common. Lenses whose pictures bulge have a little more than that.
+    Empty (width or height 0) where they have none in common. Lenses whose images bulge have a little more than that.
     """
     x0, y0, x1, y1 = 0.0, 0.0, rig.width - 1.0, rig.height - 1.0
     for camera in (rig.left, rig.right):
@@ -129,10 +129,10 @@ class _Rectangle(NamedTuple):
 
 
 class _Outline(NamedTuple):
-    """What the raw picture covers in the rectified camera.
+    """What the raw image covers in the rectified camera.
 
     Attributes:
-        inner: lies within the raw picture.
+        inner: lies within the raw image.
         outer: holds all of it.
     """
 
@@ -174,7 +174,7 @@ def _flat(rays: F64, limit_rad: float) -> F64:
 def _intrinsics(
     outlines: list[_Outline], size: tuple[int, int], alpha: float
 ) -> tuple[float, list[tuple[float, float]]]:
-    """Focal length and principal points of rectified pictures of this size, between their inner and outer outlines."""
+    """Focal length and principal points of rectified images of this size, between their inner and outer outlines."""
     inner_px, inner = _fitted([outline.inner for outline in outlines], size, within=True)
     outer_px, outer = _fitted([outline.outer for outline in outlines], size, within=False)
     f_px = (1 - alpha) * inner_px + alpha * outer_px
@@ -183,13 +183,13 @@ def _intrinsics(
 
 
 def _fitted(rectangles: list[_Rectangle], size: tuple[int, int], within: bool) -> tuple[float, F64]:
-    """Focal length at which pictures lie within their rectangles, or show all of them, and the middles of these."""
+    """Focal length at which images lie within their rectangles, or show all of them, and the middles of these."""
     x0, y0, x1, y1 = np.array(rectangles).T
     top, bottom = (y0.max(), y1.min()) if within else (y0.min(), y1.max())
     across = (x1 - x0).min() if within else (x1 - x0).max()
     if across <= 0 or bottom <= top:
         raise CalibrationError(
-            "the rectified pictures have nothing in common: the cameras look past each other, check R of the pose, or "
+            "the rectified images have nothing in common: the cameras look past each other, check R of the pose, or "
             "that it is of these cameras"
         )
     scales = (size[0] - 1) / across, (size[1] - 1) / (bottom - top)
@@ -207,9 +207,7 @@ def _check_parameters(method: str, alpha: float, max_fov_deg: float) -> None:
     if not 0 <= alpha <= 1:
         raise ConfigError(f"alpha = {alpha:g} is outside 0..1: 0 shows valid pixels only, 1 all raw pixels")
     if not 10 <= max_fov_deg <= 170:
-        raise ConfigError(
-            f"max_fov_deg = {max_fov_deg:g} is outside 10..170: a flat picture shows less than 180 degrees"
-        )
+        raise ConfigError(f"max_fov_deg = {max_fov_deg:g} is outside 10..170: a flat image shows less than 180 degrees")
 
 
 def _check_direction(e1: F64) -> None:
@@ -221,9 +219,9 @@ def _check_direction(e1: F64) -> None:
         raise CalibrationError(f"{where}: left and right are swapped, exchange them")
     if abs(e1[2]) > abs(e1[1]):
         raise CalibrationError(
-            f"{where}, ahead or behind: its epipole is in the picture or near to it, and no turn makes the rows agree: "
+            f"{where}, ahead or behind: its epipole is in the image or near to it, and no turn makes the rows agree: "
             "mount the cameras side by side"
         )
     raise CalibrationError(
-        f"{where}, above or below: rotate the pictures by 90 degrees and calibrate them as left and right"
+        f"{where}, above or below: rotate the images by 90 degrees and calibrate them as left and right"
     )

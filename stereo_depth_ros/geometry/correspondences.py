@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points of two pictures that show the same place, found without knowing anything of the cameras."""
+"""Points of two images that show the same place, found without knowing anything of the cameras."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _FAR_PX = 1e5  # OpenCV puts points that no pinhole camera can see at +-1e6
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """N points of the left picture and the same points in the right picture.
+    """N points of the left image and the same points in the right image.
 
     Attributes:
-        left_px, right_px: float64 (N, 2), columns x and y, px; pixel centres are whole numbers.
+        left_px, right_px: float64 (N, 2), columns x and y, px; pixel centers are whole numbers.
 
     Raises:
         ImageError: the two are not both (N, 2).
@@ -58,7 +58,7 @@ class Correspondences:
 
 
 def undistort_points(points_px: F64, camera: CameraModel) -> F64:
-    """Where a camera with the same K and no distortion sees the points of a raw picture.
+    """Where a camera with the same K and no distortion sees the points of a raw image.
 
     Args:
         points_px: float64 (N, 2), px.
@@ -72,35 +72,35 @@ def undistort_points(points_px: F64, camera: CameraModel) -> F64:
     if camera.distortion_model == "equidistant":
         moved = cv2.fisheye.undistortPoints(pixels, camera.K, camera.D, P=camera.K, criteria=_CRITERIA)
     elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-        moved = cv2.undistortPointsIter(pixels, camera.K, camera.D, np.eye(3), camera.K, _CRITERIA)
+        moved = cv2.undistortPointsIter(pixels, camera.K, camera.D, np.identity(3), camera.K, _CRITERIA)
     else:
-        moved = cv2.undistortPoints(pixels, camera.K, camera.D, None, np.eye(3), camera.K, _CRITERIA)
+        moved = cv2.undistortPoints(pixels, camera.K, camera.D, None, np.identity(3), camera.K, _CRITERIA)
     points: F64 = moved[:, 0].copy()
     points[np.abs(points).max(axis=1) > _FAR_PX] = np.nan
     return points
 
 
 def match_features(left: U8, right: U8, max_features: int = 4000, ratio: float = 0.75) -> Correspondences:
-    """SIFT features (Lowe 2004) of two pictures, matched where each is the other's best by far.
+    """SIFT features (Lowe 2004) of two images, matched where each is the other's best by far.
 
-    No row is assumed, no disparity, no size in common: it works on raw pictures. Wrong matches remain (some percent).
+    No row is assumed, no disparity, no size in common: it works on raw images. Wrong matches remain (some percent).
 
     Args:
-        left, right: uint8 (H, W), grey.
-        max_features: of each picture, the strongest.
+        left, right: uint8 (H, W), gray.
+        max_features: of each image, the strongest.
         ratio: the best candidate's distance is at most this share of the second best one's.
 
     Returns:
-        The matches in a fixed order, the same for the same pictures; none where the pictures show nothing in common.
+        The matches in a fixed order, the same for the same images; none where the images show nothing in common.
 
     Raises:
-        ImageError: not grey uint8 pictures.
+        ImageError: not gray uint8 images.
     """
-    left_px, left_words = _features(left, "left", max_features)
-    right_px, right_words = _features(right, "right", max_features)
+    left_px, left_descriptors = _features(left, "left", max_features)
+    right_px, right_descriptors = _features(right, "right", max_features)
     if min(len(left_px), len(right_px)) < 2:
         return Correspondences(np.empty((0, 2)), np.empty((0, 2)))
-    i, j = _mutual_best(_squared_distances(left_words, right_words), ratio)
+    i, j = _mutual_best(_squared_distances(left_descriptors, right_descriptors), ratio)
     # SIFT tells a corner once for each of its orientations
     single = np.unique(np.hstack((left_px[i], right_px[j])), axis=0)
     return Correspondences(single[:, :2], single[:, 2:])
@@ -110,7 +110,7 @@ def _features(image: U8, label: str, count: int) -> tuple[F64, F32]:
     """Positions, float64 (N, 2) px, and descriptors, float32 (N, 128) of whole numbers."""
     if image.dtype != np.uint8 or image.ndim != 2 or not image.size:
         raise ImageError(
-            f"{label} picture is {image.dtype} of shape {image.shape}, features take uint8 (H, W): convert it to grey"
+            f"{label} image is {image.dtype} of shape {image.shape}, features take uint8 (H, W): convert it to gray"
         )
     corners, words = cv2.SIFT.create(count, contrastThreshold=_CONTRAST).detectAndCompute(image, None)
     if not corners:

@@ -26,7 +26,7 @@ __all__ = [
     "whole_depths",
 ]
 
-_USUAL_SHARE = 1 / 8  # of the width of the picture: disparity of the nearest point where nobody says more
+_USUAL_SHARE = 1 / 8  # of the width of the image: disparity of the nearest point where nobody says more
 _MIN_DEPTHS, _MAX_DEPTHS = 5, 200  # of a table
 _ROUNDING_PX = 1e-6  # a disparity so little beside a whole number is that number
 
@@ -62,7 +62,7 @@ class Precision:
 
 @dataclass(frozen=True)
 class DepthRange:
-    """Where a rig sees depth, metres along Z of the left rectified camera.
+    """Where a rig sees depth, meters along Z of the left rectified camera.
 
     Attributes:
         baseline_m: distance of the two cameras.
@@ -86,8 +86,8 @@ class DepthError:
         disparity_px: x_left - x_right.
         step_m: from this depth to that of the next smaller disparity; infinite where that is infinity.
         sigma_m: standard deviation of the depth.
-        overlap: share of the left rectified picture that the right one shows too, 0..1.
-        common_width_m: of what both pictures show.
+        overlap: share of the left rectified image that the right one shows too, 0..1.
+        common_width_m: of what both images show.
     """
 
     depth_m: float
@@ -136,14 +136,14 @@ def depth_errors(
     errors = []
     for depth_m, sigma_m in zip(depths_m, sigmas_m, strict=True):
         parallax_px = t.f_px * t.baseline_m / depth_m  # the disparity less that of infinity
-        rest_px = parallax_px - precision.step_px
+        residual_px = parallax_px - precision.step_px
         disparity_px = parallax_px + t.doffs_px
         overlap = max(0.0, 1 - abs(disparity_px) / rig.width)
         errors.append(
             DepthError(
                 depth_m=depth_m,
                 disparity_px=disparity_px,
-                step_m=depth_m * precision.step_px / rest_px if rest_px > 0 else math.inf,
+                step_m=depth_m * precision.step_px / residual_px if residual_px > 0 else math.inf,
                 sigma_m=sigma_m,
                 overlap=overlap,
                 common_width_m=overlap * rig.width * depth_m / t.f_px,
@@ -156,18 +156,18 @@ def recommended_search(rig: StereoRig, nearest_m: float) -> MatchingConfig:
     """The smallest search from a distance to infinity that the parameters can express, all else at its default.
 
     It begins at the disparity of infinity, and one whole disparity is beyond that of the nearest point, so that there
-    is a neighbour to interpolate with. disparity_range is a multiple of 16, at least 32.
+    is a neighbor to interpolate with. disparity_range is a multiple of 16, at least 32.
 
     Raises:
-        ConfigError: the two pictures have nothing in common at this distance, or a value that the parameters refuse.
+        ConfigError: the two images have nothing in common at this distance, or a value that the parameters refuse.
     """
     if not 0 < nearest_m < math.inf:
-        raise ConfigError(f"nearest distance {nearest_m:g} m is not above 0: give metres")
+        raise ConfigError(f"nearest distance {nearest_m:g} m is not above 0: give meters")
     nearest_px = rig.f_px * rig.baseline_m / nearest_m + rig.doffs_px
     if nearest_px >= rig.width:
         limit_m = rig.f_px * rig.baseline_m / (rig.width - rig.doffs_px)
         raise ConfigError(
-            f"at {nearest_m:g} m the disparity is {nearest_px:.0f} px and the pictures are {rig.width} px wide: they "
+            f"at {nearest_m:g} m the disparity is {nearest_px:.0f} px and the images are {rig.width} px wide: they "
             f"have something in common beyond {limit_m:.3g} m only, take a larger distance or a smaller baseline"
         )
     first = math.floor(rig.doffs_px + _ROUNDING_PX)
@@ -177,12 +177,12 @@ def recommended_search(rig: StereoRig, nearest_m: float) -> MatchingConfig:
 
 
 def usual_nearest(rig: StereoRig) -> float:
-    """The distance, metres, at which the disparity is an eighth of the picture's width above that of infinity."""
+    """The distance, meters, at which the disparity is an eighth of the image's width above that of infinity."""
     return rig.f_px * rig.baseline_m / (_USUAL_SHARE * rig.width)
 
 
 def whole_depths(first_m: float, last_m: float) -> list[float]:
-    """Each whole metre from the first to the last; tenths where those are few, tens where they are many.
+    """Each whole meter from the first to the last; tenths where those are few, tens where they are many.
 
     The step is 1, 2 or 5 times a power of ten: 1 m where that makes 5 to 200 depths.
     """

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The normalised eight-point algorithm, and which points say nothing about the fundamental matrix."""
+"""The normalized eight-point algorithm, and which points say nothing about the fundamental matrix."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["check_matches", "eight_point", "enforce_rank_2", "epipolar_equations
 
 MIN_POINTS = 8
 MIN_WIDTH = 0.01  # of the cloud of points, as a share of its length; below that it is a line
-_REMEDY = "take matches that are spread over both pictures and over several depths, from cameras in two places"
+_REMEDY = "take matches that are spread over both images and over several depths, from cameras in two places"
 
 
 def eight_point(left: F64, right: F64) -> F64:
@@ -36,7 +36,7 @@ def eight_point(left: F64, right: F64) -> F64:
             coincident, collinear, or so near to one plane (or seen from one place) that they allow other matrices.
     """
     check_matches(left, right)
-    to_left, to_right = _normalisation(left), _normalisation(right)
+    to_left, to_right = _normalization(left), _normalization(right)
     x_left, x_right = homogeneous(left) @ to_left.T, homogeneous(right) @ to_right.T
     # Eight equations leave the ninth direction out unless all are asked for; of many, N x N values are not needed
     _, singular, Vt = np.linalg.svd(epipolar_equations(x_left, x_right), full_matrices=len(left) == MIN_POINTS)
@@ -95,7 +95,7 @@ def _check_spread(points: F64, label: str) -> None:
         )
 
 
-def _normalisation(points: F64) -> F64:
+def _normalization(points: F64) -> F64:
     """float64 (3, 3): moves the mean to 0 and scales the root mean square distance to sqrt(2)."""
     mean = points.mean(axis=0)
     scale = np.sqrt(2 / np.mean(((points - mean) ** 2).sum(axis=1)))

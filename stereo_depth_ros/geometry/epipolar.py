@@ -3,7 +3,7 @@
 """Epipolar geometry: fundamental matrices of known cameras, epipoles, epipolar lines and distances from them.
 
 Everything holds in pixels with a fundamental matrix F, and in camera coordinates (x / z, y / z) with an essential
-matrix E in its place. x_right^T F x_left = 0; the transpose exchanges the eyes.
+matrix E in its place. x_right^T F x_left = 0; the transpose exchanges the cameras.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def fundamental_from_pose(pose: RelativePose, K_left: F64, K_right: F64) -> F64:
 
 
 def epipoles(F: F64) -> tuple[F64, F64]:
-    """Where each camera sees the other one's centre, left and right: F e_left = 0 and F^T e_right = 0.
+    """Where each camera sees the other one's center, left and right: F e_left = 0 and F^T e_right = 0.
 
     Returns:
         Two float64 (3,), homogeneous, of length 1, the last value not negative: (x, y, w) stands for (x / w, y / w).
@@ -55,7 +55,7 @@ def epipoles(F: F64) -> tuple[F64, F64]:
 
 
 def epipolar_lines(F: F64, left: F64) -> F64:
-    """The line of the right picture on which the right point of each left point lies; with F.T the other way round.
+    """The line of the right image on which the right point of each left point lies; with F.T the other way round.
 
     Args:
         left: float64 (N, 2).

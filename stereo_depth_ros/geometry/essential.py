@@ -103,7 +103,7 @@ def estimate_essential(
     if 2 * inliers.sum() < start.inliers.sum():
         raise CalibrationError(
             f"{inliers.sum()} of the {start.inliers.sum()} matches that agree on a fundamental matrix agree on an "
-            "essential one: these are not the intrinsics of the pictures, or the pictures are still distorted"
+            "essential one: these are not the intrinsics of the images, or the images are still distorted"
         )
     rays = camera_coordinates(left_px[inliers], K_left), camera_coordinates(right_px[inliers], K_right)
     pose = pose_from_essential(E, *rays)

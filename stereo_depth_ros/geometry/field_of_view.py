@@ -28,10 +28,10 @@ class FieldOfView:
 
 
 def field_of_view(camera: CameraModel) -> FieldOfView:
-    """That of the raw picture; of the rectified one for ``camera.rectified()``.
+    """That of the raw image; of the rectified one for ``camera.rectified()``.
 
-    An angle is the sum of those of its two ends from the optical axis, so that it may exceed 180 degrees. The picture
-    ends half a pixel beyond the centres of its outermost pixels. The diagonal is the larger one.
+    An angle is the sum of those of its two ends from the optical axis, so that it may exceed 180 degrees. The image
+    ends half a pixel beyond the centers of its outermost pixels. The diagonal is the larger one.
     """
     left, top, right, bottom = -0.5, -0.5, camera.width - 0.5, camera.height - 0.5
     cx, cy = camera.K[0, 2], camera.K[1, 2]

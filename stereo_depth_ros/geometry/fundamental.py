@@ -32,7 +32,7 @@ MAX_SAMPLES = 8192
 CONFIDENCE = 0.999
 ROUNDS = 10  # of refinement and a new choice of inliers; two or three are the rule
 OFF_PLANE = 8  # inliers that no plane explains
-PLANE_THRESHOLDS = 3.0  # a homography's error has two parts, each with the noise of both pictures
+PLANE_THRESHOLDS = 3.0  # a homography's error has two parts, each with the noise of both images
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def _check_agreement(left_px: F64, right_px: F64, inliers: npt.NDArray[np.bool_]
     if agree < SAMPLE or false_alarms > 0:
         raise CalibrationError(
             f"{agree} of {total} matches agree on a fundamental matrix within {threshold_px:g} px, no more than wrong "
-            "ones do by chance: match pictures that show the same scene, undistort the points, or raise threshold_px"
+            "ones do by chance: match images that show the same scene, undistort the points, or raise threshold_px"
         )
 
 
@@ -140,7 +140,7 @@ def _magsac(left_px: F64, right_px: F64, threshold_px: float) -> F64:
     F, _ = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC, threshold_px, CONFIDENCE, MAX_SAMPLES)
     if F is None or F.shape != (3, 3):
         raise CalibrationError(
-            f"MAGSAC found no fundamental matrix for {len(left_px)} matches: match pictures that show the same scene"
+            f"MAGSAC found no fundamental matrix for {len(left_px)} matches: match images that show the same scene"
         )
     found: F64 = F
     return found

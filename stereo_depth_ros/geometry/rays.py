@@ -21,7 +21,7 @@ def camera_rays(points_px: F64, camera: CameraModel) -> F64:
     """float64 (N, 3), of length 1, x right, y down, z forward; NaN where the distortion model has no ray for a pixel.
 
     Args:
-        points_px: float64 (N, 2) of the raw picture.
+        points_px: float64 (N, 2) of the raw image.
     """
     if camera.distortion_model == "equidistant":
         return _fisheye_rays(points_px, camera)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points and cameras from matches, as far as what is known of the cameras goes: metres, shape, or incidence only."""
+"""Points and cameras from matches, as far as what is known of the cameras goes: meters, shape, or incidence only."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Cameras: TypeAlias = StereoRig | tuple[CameraModel, CameraModel] | None
 
 
 class Level(enum.Enum):
-    """What of a reconstruction is meaningful: what all scenes that give the same pictures have in common.
+    """What of a reconstruction is meaningful: what all scenes that give the same images have in common.
 
     (Trucco and Verri, Introductory Techniques for 3-D Computer Vision, 1998, section 7.4.)
     """
@@ -45,8 +45,8 @@ class Level(enum.Enum):
 
     @property
     def unit(self) -> str | None:
-        """Of the coordinates: metres, or baselines; None where they have none."""
-        return {Level.EUCLIDEAN: "metres", Level.UP_TO_SCALE: "baselines", Level.PROJECTIVE: None}[self]
+        """Of the coordinates: meters, or baselines; None where they have none."""
+        return {Level.EUCLIDEAN: "meters", Level.UP_TO_SCALE: "baselines", Level.PROJECTIVE: None}[self]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Reconstruction:
         homogeneous: float64 (N, 4) of length 1, in the left camera, for PROJECTIVE in its frame; NaN where invalid.
         reasons: uint8 (N,), bits of :class:`Reason`, 0 exactly where ``homogeneous`` is finite: NO_MATCH, not what one
             point shows in both cameras; RANGE, behind a camera, or no point at a finite distance from the baseline.
-        residual_px: float64 (N,), distance in both pictures together from the match to what the cameras see of the
+        residual_px: float64 (N,), distance in both images together from the match to what the cameras see of the
             nearest point; NaN where there is none.
         P_left, P_right: float64 (3, 4), the cameras, from points to pixels without distortion.
         pose: of the right camera, in the unit of the level; None for PROJECTIVE.
@@ -101,7 +101,7 @@ class Reconstruction:
         if self.level is not Level.UP_TO_SCALE or self.pose is None:
             raise CalibrationError(f"{self.level.value} reconstruction: a baseline completes an up_to_scale one only")
         if not 0 < baseline_m < np.inf:
-            raise CalibrationError(f"baseline {baseline_m:g} m is not above 0: measure it, in metres")
+            raise CalibrationError(f"baseline {baseline_m:g} m is not above 0: measure it, in meters")
         homogeneous = self.homogeneous * [baseline_m, baseline_m, baseline_m, 1]
         return replace(
             self,
@@ -119,11 +119,11 @@ def reconstruct(left_px: F64, right_px: F64, cameras: Cameras, threshold_px: flo
     - Two cameras of which K and D are known give an UP_TO_SCALE one: the essential matrix is estimated from the
       matches, and of its four poses the one with the points in front of both cameras is taken. The baseline is 1.
     - None gives a PROJECTIVE one: the fundamental matrix is estimated, the cameras are :func:`canonical_cameras`. The
-      pictures must be those of cameras without distortion.
+      images must be those of cameras without distortion.
 
     Args:
-        left_px, right_px: float64 (N, 2), px of the raw pictures; wrong matches may be among them.
-        cameras: what is known of the cameras that took the pictures. For a rectified pair, its rectified cameras.
+        left_px, right_px: float64 (N, 2), px of the raw images; wrong matches may be among them.
+        cameras: what is known of the cameras that took the images. For a rectified pair, its rectified cameras.
         threshold_px: of the distance from a match to what both cameras can see of one point; beyond it is wrong.
 
     Raises:
@@ -162,7 +162,7 @@ def canonical_cameras(F: F64, v: npt.ArrayLike = (0.0, 0.0, 0.0), scale: float =
     """
     epipole = epipoles(F)[1]
     M = cross_matrix(epipole) @ F / np.linalg.norm(F) + np.outer(epipole, np.asarray(v, np.float64))
-    return np.eye(3, 4), np.column_stack((M, scale * epipole))
+    return np.identity(4)[:3], np.column_stack((M, scale * epipole))
 
 
 def _undistorted(matches: Correspondences, left: CameraModel, right: CameraModel) -> Correspondences:
@@ -176,7 +176,7 @@ def _finite(matches: Correspondences) -> Correspondences:
 
 def _euclidean(matches: Correspondences, K: tuple[F64, F64], pose: RelativePose, threshold_px: float) -> Reconstruction:
     level = Level.UP_TO_SCALE if pose.up_to_scale else Level.EUCLIDEAN
-    P_left, P_right = K[0] @ np.eye(3, 4), K[1] @ np.column_stack((pose.R, pose.t))
+    P_left, P_right = K[0] @ np.identity(4)[:3], K[1] @ np.column_stack((pose.R, pose.t))
     return _triangulated(level, matches, P_left, P_right, pose, threshold_px)
 
 

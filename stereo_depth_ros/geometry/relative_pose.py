@@ -22,8 +22,8 @@ class RelativePose:
 
     Attributes:
         R: float64 (3, 3), rotation from the left to the right camera.
-        t: float64 (3,), metres: the left centre in the right camera. Of length 1 where ``up_to_scale``.
-        up_to_scale: pictures alone do not tell how long t is, its direction is all that is known.
+        t: float64 (3,), meters: the left center in the right camera. Of length 1 where ``up_to_scale``.
+        up_to_scale: images alone do not tell how long t is, its direction is all that is known.
 
     Raises:
         CalibrationError: R is no rotation, or t is zero or not finite.
@@ -52,15 +52,15 @@ class RelativePose:
         return cls(rig.right.R.T @ rig.left.R, rig.right.R.T @ baseline_m)
 
     @property
-    def right_centre(self) -> F64:
-        """float64 (3,): T = -R^T t, the right centre in the left camera, in the unit of t."""
-        centre: F64 = -self.R.T @ self.t
-        return centre
+    def right_center(self) -> F64:
+        """float64 (3,): T = -R^T t, the right center in the left camera, in the unit of t."""
+        center: F64 = -self.R.T @ self.t
+        return center
 
     @property
     def essential(self) -> F64:
         """float64 (3, 3): E = R [T]x = -[t]x R, so that x_right^T E x_left = 0 (Longuet-Higgins 1981)."""
-        E: F64 = self.R @ cross_matrix(self.right_centre)
+        E: F64 = self.R @ cross_matrix(self.right_center)
         return E
 
     def rotation_angle_to(self, other: RelativePose) -> float:

@@ -19,7 +19,7 @@ __all__ = ["common_scale", "refine_essential", "refine_fundamental", "robust_cos
 
 _ITERATIONS = 50
 _SETTLED = 1e-10  # relative decrease of the sum of squares
-_GENERATORS = np.stack([cross_matrix(axis) for axis in np.eye(3)])
+_GENERATORS = np.stack([cross_matrix(axis) for axis in np.identity(3)])
 
 
 def robust_scale(distances: F64) -> float:
@@ -54,8 +54,8 @@ def refine_fundamental(F: F64, left_px: F64, right_px: F64, scale_px: float = np
     start = np.linalg.inv(to_right).T @ F @ np.linalg.inv(to_left)
     U, singular, Vt = np.linalg.svd(start)
     x_left, x_right = homogeneous(left_px) @ to_left.T, homogeneous(right_px) @ to_right.T
-    problem = _Problem(x_left, x_right, np.eye(3), np.eye(3), scale_px * to_left[0, 0])
-    refined = to_right.T @ _minimise(problem, U, Vt, float(np.arctan2(singular[1], singular[0])), True) @ to_left
+    problem = _Problem(x_left, x_right, np.identity(3), np.identity(3), scale_px * to_left[0, 0])
+    refined = to_right.T @ _minimize(problem, U, Vt, float(np.arctan2(singular[1], singular[0])), True) @ to_left
     unit: F64 = refined / np.linalg.norm(refined)
     return unit
 
@@ -78,13 +78,13 @@ def refine_essential(E: F64, left_px: F64, right_px: F64, K_left: F64, K_right: 
     x_left, x_right = homogeneous(left_px) @ to_left.T, homogeneous(right_px) @ to_right.T
     problem = _Problem(x_left, x_right, before, after, scale_px * to_left[0, 0])
     U, _, Vt = np.linalg.svd(E)
-    inner = _minimise(problem, U, Vt, np.pi / 4, False)
+    inner = _minimize(problem, U, Vt, np.pi / 4, False)
     essential: F64 = np.sqrt(2) * (to_right @ K_right).T @ inner @ to_left @ K_left
     return essential
 
 
 def common_scale(left_px: F64, right_px: F64) -> tuple[F64, F64]:
-    """float64 (3, 3) each: move both means to 0 and scale both pictures alike, so that distances in them compare."""
+    """float64 (3, 3) each: move both means to 0 and scale both images alike, so that distances in them compare."""
     means = left_px.mean(axis=0), right_px.mean(axis=0)
     squares = ((left_px - means[0]) ** 2).sum(axis=1) + ((right_px - means[1]) ** 2).sum(axis=1)
     scale = 2 / np.sqrt(squares.mean())
@@ -136,7 +136,7 @@ class _Problem:
         return derivative
 
 
-def _minimise(problem: _Problem, U: F64, Vt: F64, angle: float, free_angle: bool) -> F64:
+def _minimize(problem: _Problem, U: F64, Vt: F64, angle: float, free_angle: bool) -> F64:
     """Levenberg and Marquardt from U diag(cos a, sin a, 0) V^T; the matrix of the problem, float64 (3, 3)."""
     distances = problem.distances(problem.matrix(U, Vt, angle))
     cost, damping = robust_cost(distances, problem.scale), 1e-3

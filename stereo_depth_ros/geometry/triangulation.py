@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points of space from matched points of two pictures whose cameras are known; of any two cameras, raw or not.
+"""Points of space from matched points of two images whose cameras are known; of any two cameras, raw or not.
 
 Rectified pairs have a closed form of their own: :meth:`stereo_depth_ros.core.triangulation.Triangulation.points`.
 """
@@ -31,18 +31,18 @@ _CONVERGED_PX = 1e-9
 
 
 def triangulate_linear(P_left: F64, P_right: F64, left_px: F64, right_px: F64) -> F64:
-    """Where the equations x (P3 X) = P1 X, y (P3 X) = P2 X of both pictures are met best, in homogeneous coordinates.
+    """Where the equations x (P3 X) = P1 X, y (P3 X) = P2 X of both images are met best, in homogeneous coordinates.
 
     Hartley and Zisserman, Multiple View Geometry, 2004, section 12.2. Exact for rays that meet; of rays that miss each
-    other, what is least has no meaning in the pictures: see :func:`triangulate_optimal`.
+    other, what is least has no meaning in the images: see :func:`triangulate_optimal`.
 
     Args:
         P_left, P_right: float64 (3, 4), cameras in any frame, projective ones too.
-        left_px, right_px: float64 (N, 2), px of pinhole pictures.
+        left_px, right_px: float64 (N, 2), px of pinhole images.
 
     Returns:
         float64 (N, 4) of length 1, with (P_left X)_3 >= 0; the last coordinate is 0 for a point at infinity. NaN where
-        the match is not finite, or where both rays are the line through the two centres, on which all points agree.
+        the match is not finite, or where both rays are the line through the two centers, on which all points agree.
     """
     matches = Correspondences(left_px, right_px)
     finite: npt.NDArray[np.bool_] = np.isfinite((matches.left_px + matches.right_px).sum(axis=1))
@@ -65,7 +65,7 @@ def triangulate_linear(P_left: F64, P_right: F64, left_px: F64, right_px: F64) -
 
 
 def triangulate_optimal(P_left: F64, P_right: F64, left_px: F64, right_px: F64) -> F64:
-    """The points that are seen nearest to where they were matched: least squares in both pictures.
+    """The points that are seen nearest to where they were matched: least squares in both images.
 
     The maximum-likelihood estimate for equal Gaussian noise; it does not depend on the frame, so it serves projective
     cameras as well (Hartley and Sturm, Triangulation, 1997). Arguments and result as of :func:`triangulate_linear`;
@@ -86,7 +86,7 @@ def triangulate_midpoint(pose: RelativePose, left_rays: F64, right_rays: F64) ->
         float64 (N, 3) in the left camera, in the unit of the pose. NaN where the rays are parallel, or come nearest to
         each other behind a camera.
     """
-    T, turned = pose.right_centre, right_rays @ pose.R  # R^T p of every row
+    T, turned = pose.right_center, right_rays @ pose.R  # R^T p of every row
     normals = np.cross(left_rays, turned)
     squared = np.einsum("ij,ij->i", normals, normals)
     lengths = np.linalg.norm(left_rays, axis=1) * np.linalg.norm(turned, axis=1)
@@ -102,14 +102,14 @@ def triangulate_midpoint(pose: RelativePose, left_rays: F64, right_rays: F64) ->
 def optimal_matches(F: F64, left_px: F64, right_px: F64) -> Correspondences:
     """The matches that agree with F exactly and are nearest to those that were found.
 
-    The sum of squared distances in both pictures is least (Lindstrom, Triangulation Made Easy, 2010, section 4): each
+    The sum of squared distances in both images is least (Lindstrom, Triangulation Made Easy, 2010, section 4): each
     step goes along the normals of the epipolar lines of the last one, onto F. For what can be a match it reaches the
     minimum of Hartley and Sturm's polynomial (1997), without its roots, and for rectified pairs too; where noise is
     of the size of the distance to the epipole there may be a lower minimum elsewhere.
 
     Args:
         F: float64 (3, 3) with x_right^T F x_left = 0, of any scale.
-        left_px, right_px: float64 (N, 2), px of pinhole pictures.
+        left_px, right_px: float64 (N, 2), px of pinhole images.
 
     Returns:
         N matches; NaN where no step leads onto F, as for matches that are far from it and near to the epipoles.
@@ -153,7 +153,7 @@ def parallax(points: F64, pose: RelativePose) -> F64:
         points: float64 (N, 4), homogeneous, in the left camera, in the unit of the pose.
         pose: of calibrated cameras.
     """
-    left_rays, baselines = points[:, :3], points[:, 3, None] * pose.right_centre
+    left_rays, baselines = points[:, :3], points[:, 3, None] * pose.right_center
     right_rays = left_rays - baselines
     sine = np.linalg.norm(np.cross(left_rays, baselines), axis=1)
     angle: F64 = np.arctan2(sine, np.einsum("ij,ij->i", left_rays, right_rays))

@@ -22,16 +22,16 @@ from stereo_depth_ros.geometry.epipolar import epipoles, homogeneous
 __all__ = ["Shape", "UncalibratedRectification", "rectify_uncalibrated", "shape_under"]
 
 _ANGLES = 720  # of z, over half a turn, among which the least distortion is looked for first
-_MARGIN = 0.05  # of the picture's size, that an epipole keeps from its border
-_MAX_STRETCH = 4.0  # between two places of the picture, by the projective part
+_MARGIN = 0.05  # of the image's size, that an epipole keeps from its border
+_MAX_STRETCH = 4.0  # between two places of the image, by the projective part
 
 
 class Shape(NamedTuple):
-    """What a homography does to the midlines of a picture; (90, 1) is what the shearing part asks for.
+    """What a homography does to the midlines of an image; (90, 1) is what the shearing part asks for.
 
     Attributes:
         angle_deg: between the images of the horizontal and the vertical midline.
-        aspect: ratio of their lengths, over that of the picture.
+        aspect: ratio of their lengths, over that of the image.
     """
 
     angle_deg: float
@@ -40,12 +40,12 @@ class Shape(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class UncalibratedRectification:
-    """Two homographies that make the rows of two pictures agree.
+    """Two homographies that make the rows of two images agree.
 
     Attributes:
-        H_left, H_right: float64 (3, 3), from pixels (without distortion) to pixels of the rectified picture.
-        size: width, height of both rectified pictures, px.
-        distortion: of both pictures, what the projective parts leave of Loop and Zhang's criterion (equation 11); 0 is
+        H_left, H_right: float64 (3, 3), from pixels (without distortion) to pixels of the rectified image.
+        size: width, height of both rectified images, px.
+        distortion: of both images, what the projective parts leave of Loop and Zhang's criterion (equation 11); 0 is
             none.
         shape_left, shape_right: what the whole homographies do to the midlines.
     """
@@ -58,7 +58,7 @@ class UncalibratedRectification:
     shape_right: Shape
 
     def rectified(self, left_px: F64, right_px: F64) -> tuple[F64, F64]:
-        """Where points without distortion, float64 (N, 2) each, are in the rectified pictures."""
+        """Where points without distortion, float64 (N, 2) each, are in the rectified images."""
         left, right = (
             np.asarray(cv2.perspectiveTransform(points[:, None], H)[:, 0], np.float64)
             for points, H in ((left_px, self.H_left), (right_px, self.H_right))
@@ -69,29 +69,29 @@ class UncalibratedRectification:
 def rectify_uncalibrated(
     F: F64, left_size: tuple[int, int], right_size: tuple[int, int] | None = None
 ) -> UncalibratedRectification:
-    """The homographies of two pictures of which the fundamental matrix is known and nothing else.
+    """The homographies of two images of which the fundamental matrix is known and nothing else.
 
-    Both rectified pictures have the size of the left one; together they keep the area of the raw ones, and the middle
-    of each is in the middle column. Disparities have any sign, and no metres.
+    Both rectified images have the size of the left one; together they keep the area of the raw ones, and the middle
+    of each is in the middle column. Disparities have any sign, and no meters.
 
     Args:
         F: float64 (3, 3), x_right^T F x_left = 0, for pixels without distortion.
-        left_size, right_size: width, height of the pictures, px; the right one as the left one where it is None.
+        left_size, right_size: width, height of the images, px; the right one as the left one where it is None.
 
     Raises:
-        CalibrationError: no fundamental matrix, or an epipole in a picture or near to it.
+        CalibrationError: no fundamental matrix, or an epipole in an image or near to it.
     """
     sizes = (left_size, right_size or left_size)
     F = _checked(F)
-    for epipole, size, eye in zip(epipoles(F), sizes, ("left", "right"), strict=True):
-        _check_epipole(epipole, size, eye)
-    # In coordinates from the middle of each picture no number is large
+    for epipole, size, side in zip(epipoles(F), sizes, ("left", "right"), strict=True):
+        _check_epipole(epipole, size, side)
+    # In coordinates from the middle of each image no number is large
     to_middle = [_to_middle(size) for size in sizes]
     centred = np.linalg.inv(to_middle[1]).T @ F @ np.linalg.inv(to_middle[0])
     z, distortion = _least_distortion(centred, sizes)
     lines = _vanishing_lines(centred, z)
-    for line, size, eye in zip(lines, sizes, ("left", "right"), strict=True):
-        _check_stretch(line, size, eye)
+    for line, size, side in zip(lines, sizes, ("left", "right"), strict=True):
+        _check_stretch(line, size, side)
     projective = [_projective(line) for line in lines]
     similarity = _similarities(centred, *lines)
     turned = [s @ p @ m for s, p, m in zip(similarity, projective, to_middle, strict=True)]
@@ -101,7 +101,7 @@ def rectify_uncalibrated(
 
 
 def shape_under(H: F64, size: tuple[int, int]) -> Shape:
-    """What a homography, float64 (3, 3), does to the midlines of a picture of this size (width, height)."""
+    """What a homography, float64 (3, 3), does to the midlines of an image of this size (width, height)."""
     x, y = _midlines(H, size)
     angle = np.degrees(np.arctan2(abs(x[0] * y[1] - x[1] * y[0]), x @ y))
     return Shape(float(angle), float(np.hypot(*x) / np.hypot(*y) * size[1] / size[0]))
@@ -117,7 +117,7 @@ def _checked(F: F64) -> F64:
     return F / np.linalg.norm(F)
 
 
-def _check_epipole(epipole: F64, size: tuple[int, int], eye: str) -> None:
+def _check_epipole(epipole: F64, size: tuple[int, int], side: str) -> None:
     x, y, w = epipole
     if w < 1e-12:
         return
@@ -125,7 +125,7 @@ def _check_epipole(epipole: F64, size: tuple[int, int], eye: str) -> None:
     margin = _MARGIN * np.array(size)
     if (at >= -margin).all() and (at <= size + margin).all():
         raise CalibrationError(
-            f"the {eye} epipole is at ({at[0]:.0f}, {at[1]:.0f}) px, in the picture of {size[0]}x{size[1]} px or "
+            f"the {side} epipole is at ({at[0]:.0f}, {at[1]:.0f}) px, in the image of {size[0]}x{size[1]} px or "
             f"within {100 * _MARGIN:g} % of it: epipolar lines meet there and no homography makes them rows: move the "
             "camera sideways, not forwards"
         )
@@ -144,7 +144,7 @@ def _vanishing_lines(F: F64, z: F64) -> tuple[F64, F64]:
 
 
 def _least_distortion(F: F64, sizes: tuple[tuple[int, int], tuple[int, int]]) -> tuple[F64, float]:
-    """The direction z whose lines weigh the pixels of both pictures most alike (section 5); and how unlike."""
+    """The direction z whose lines weigh the pixels of both images most alike (section 5); and how unlike."""
 
     def criterion(angle: float) -> float:
         lines = _vanishing_lines(F, np.array([np.cos(angle), np.sin(angle), 0.0]))
@@ -152,7 +152,7 @@ def _least_distortion(F: F64, sizes: tuple[tuple[int, int], tuple[int, int]]) ->
 
     step = np.pi / _ANGLES
     best = step * int(np.argmin([criterion(step * k) for k in range(_ANGLES)]))
-    while step > 1e-12:  # of three neighbours the lowest, ever nearer
+    while step > 1e-12:  # of three neighbors the lowest, ever nearer
         best = min((best - step, best, best + step), key=criterion)
         step /= 1.7
     return np.array([np.cos(best), np.sin(best), 0.0]), criterion(best)
@@ -169,13 +169,13 @@ def _unlikeness(line: F64, size: tuple[int, int]) -> float:
     return float((a**2 * (size[0] ** 2 - 1) + b**2 * (size[1] ** 2 - 1)) / 12 / c**2)
 
 
-def _check_stretch(line: F64, size: tuple[int, int], eye: str) -> None:
+def _check_stretch(line: F64, size: tuple[int, int], side: str) -> None:
     corners = np.array([[x, y, 1] for x in (-size[0] / 2, size[0] / 2) for y in (-size[1] / 2, size[1] / 2)])
     weights = corners @ line * np.sign(line[2])
     if weights.min() <= 0 or weights.max() > _MAX_STRETCH * weights.min():
         stretch = weights.max() / weights.min() if weights.min() > 0 else np.inf
         raise CalibrationError(
-            f"the {eye} picture would be enlarged {stretch:.3g} times more at one corner than at another, limit "
+            f"the {side} image would be enlarged {stretch:.3g} times more at one corner than at another, limit "
             f"{_MAX_STRETCH:g}: the epipole is too near: move the camera sideways, not forwards"
         )
 
@@ -202,7 +202,7 @@ def _similarities(F: F64, left: F64, right: F64) -> tuple[F64, F64]:
             [0, 0, 1],
         ]
     )
-    upside_down = np.diag([-1.0, -1.0, 1.0]) if to_rows[0, 0] < 0 else np.eye(3)
+    upside_down = np.diag([-1.0, -1.0, 1.0]) if to_rows[0, 0] < 0 else np.identity(3)
     return upside_down @ to_rows, upside_down @ to_rows_right
 
 
@@ -226,7 +226,7 @@ def _midlines(H: F64, size: tuple[int, int]) -> tuple[F64, F64]:
 
 
 def _placed(homographies: list[F64], sizes: tuple[tuple[int, int], tuple[int, int]]) -> tuple[F64, F64]:
-    """Scaled alike to the area of the raw pictures, and moved so that their middles are in that of the left size."""
+    """Scaled alike to the area of the raw images, and moved so that their middles are in that of the left size."""
     corners = [np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5 for w, h in sizes]
     seen = [homogeneous(points) @ H.T for points, H in zip(corners, homographies, strict=True)]
     outlines = [points[:, :2] / points[:, 2:] for points in seen]

@@ -10,7 +10,7 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32
 
-__all__ = ["agreement"]
+__all__ = ["local_consistency"]
 
 RADIUS = 9
 STRIDE = 3  # a ninth of the window is as good a sample of it
@@ -18,7 +18,7 @@ TOLERANCE_PX = 1.0
 SAMPLES = (2 * RADIUS // STRIDE + 1) ** 2 - 1
 
 
-def agreement(disparity_px: F32, lead: F32 | None = None) -> F32:
+def local_consistency(disparity_px: F32, margin: F32 | None = None) -> F32:
     """Share of the pixels around, in a grid of 7 x 7 over 19 x 19 pixels, that differ by at most 1 px.
 
     Wrong matches are rarely many of one kind in one place: that tells more than how much better a window's cost is than
@@ -32,9 +32,9 @@ def agreement(disparity_px: F32, lead: F32 | None = None) -> F32:
         float32 (H, W) in [0, 1], 0 where invalid.
     """
     confidence = np.empty_like(disparity_px)
-    run_bands(_agreement_rows, len(disparity_px), disparity_px, confidence)
-    if lead is not None:
-        confidence *= lead
+    run_bands(_consistency_rows, len(disparity_px), disparity_px, confidence)
+    if margin is not None:
+        confidence *= margin
     return confidence
 
 
@@ -49,7 +49,7 @@ def _count_row(here: F32, there: F32, shift: int, counts: F32) -> None:
 
 
 @compiled("void(int64, int64, float32[:, ::1], float32[:, ::1])", allocates=False)
-def _agreement_rows(first: int, last: int, disparity_px: F32, confidence: F32) -> None:
+def _consistency_rows(first: int, last: int, disparity_px: F32, confidence: F32) -> None:
     height = len(disparity_px)
     for y in range(first, last):
         counts = confidence[y]

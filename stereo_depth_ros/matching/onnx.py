@@ -16,8 +16,8 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
-from stereo_depth_ros.matching.local_consistency import agreement
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.local_consistency import local_consistency
+from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
 
 __all__ = ["OnnxMatcher"]
@@ -29,8 +29,8 @@ PAD_MULTIPLE = 32  # sizes that are free are padded to it: networks halve their 
 class OnnxMatcher(SerialMatcher):
     """The network in the file ``onnx_model``, run by ONNX Runtime on the CPU.
 
-    It has two inputs (1, C, H, W) of 1 or 3 channels that take grey values of 0 to 255 as float32 or uint8; any scaling
-    or normalisation belongs into the network. The left image is the input with "left" in its name, or else the first.
+    It has two inputs (1, C, H, W) of 1 or 3 channels that take gray values of 0 to 255 as float32 or uint8; any scaling
+    or normalization belongs into the network. The left image is the input with "left" in its name, or else the first.
     Of several outputs the disparity is the one with "disp" in its name: (1, 1, H, W), (1, H, W) or (H, W), positive, in
     pixels of the input and for each of them.
 
@@ -44,7 +44,7 @@ class OnnxMatcher(SerialMatcher):
     """
 
     name = "onnx"
-    step_px = 1 / FIXED_STEPS
+    step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where ONNX Runtime or the file is missing, or the network has other inputs or outputs."""
@@ -68,7 +68,7 @@ class OnnxMatcher(SerialMatcher):
         disparity_px = found[:, wider:] + np.float32(first)
         reasons = _reasons(disparity_px, self.config)
         disparity_px[reasons != 0] = np.nan
-        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px))
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(local_consistency, disparity_px))
 
     def _run(self, left: Any, right: Any) -> F32:
         """The disparities of two tensors, float32, of their height and width."""
@@ -114,7 +114,7 @@ class _Input:
         return self.height or image.shape[0], self.width or image.shape[1]
 
     def tensor(self, image: U8) -> Any:
-        """(1, C, H, W) of a grey image (H, W)."""
+        """(1, C, H, W) of a gray image (H, W)."""
         height, width = self.size(image)
         if image.shape != (height, width):
             image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)

@@ -11,24 +11,24 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.matching.window.fixed_window import WindowMatcher
 
-__all__ = ["match_brightness"]
+__all__ = ["match_photometric"]
 
 FIRST_WINDOW_PX = 9
 REGION_PX = 31
-LARGEST_VARIATION = np.float32(15)  # grey levels from the median of all; beyond it a match is wrong, or an outlier
+LARGEST_VARIATION = np.float32(15)  # gray levels from the median of all; beyond it a match is wrong, or an outlier
 LEAST_SHARE = 0.05  # of a region that is matched, from which on its mean difference counts for half or more
 
 
-def match_brightness(left: U8, right: U8, config: MatchingConfig) -> U8:
+def match_photometric(left: U8, right: U8, config: MatchingConfig) -> U8:
     """The left image less what it is brighter than the right one, on average over the matched pixels of a region.
 
     Costs of single pixels take a point to be equally bright in both images. Really it differs by a few levels, which
     is more than many pixels differ that should be told apart: the light that reaches two cameras from one surface is
-    not the same. But neighbours differ alike (Gennert 1988). A first match of zero-mean windows, which need no equal
+    not the same. But neighbors differ alike (Gennert 1988). A first match of zero-mean windows, which need no equal
     brightness, tells by how much; where nothing matches (no texture, windows of one pixel), nothing changes.
 
     Args:
-        left, right: uint8 (H, W), grey, rectified, which the window matcher accepts with ``config``.
+        left, right: uint8 (H, W), gray, rectified, which the window matcher accepts with ``config``.
         config: the search, and ``correlation_window_size`` for the first match, up to 9 px.
 
     Returns:

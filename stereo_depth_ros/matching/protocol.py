@@ -15,7 +15,7 @@ from stereo_depth_ros.core.types import F32, U8, MatchResult
 __all__ = ["Matcher", "check_buffer", "check_images", "check_pair", "check_search"]
 
 # Disparities are 16-bit integers in steps of 1/16 px, as OpenCV's; one whole step is kept for "invalid".
-FIXED_STEPS = 16
+X16_STEPS = 16
 LOWEST_DISPARITY = -2047
 HIGHEST_DISPARITY = 2047
 
@@ -39,7 +39,7 @@ class Matcher(Protocol):
         """Disparities of the left image.
 
         Args:
-            left, right: uint8 (H, W), rectified grey: a point has the same row in both.
+            left, right: uint8 (H, W), rectified gray: a point has the same row in both.
             out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it. The matcher
                 fills it with a copy, so that it may be used again while results are kept for their confidence.
 
@@ -62,7 +62,7 @@ def check_images(left: U8, right: U8) -> None:
     for side, image in (("left", left), ("right", right)):
         if image.dtype != np.uint8 or image.ndim != 2:
             raise ImageError(
-                f"{side} image is {image.dtype} of shape {image.shape}, matching takes uint8 (H, W): convert it to grey"
+                f"{side} image is {image.dtype} of shape {image.shape}, matching takes uint8 (H, W): convert it to gray"
             )
     if left.shape != right.shape:
         raise ImageError(f"left image is {left.shape}, right image is {right.shape}: both must have one size")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The header stamp of a serialised message, read, replaced and spelled without decoding the rest."""
+"""The header stamp of a serialized message, read, replaced and spelled without decoding the rest."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def stamp_text(stamp_ns: int) -> str:
 def _stamp_format(data: bytes) -> struct.Struct:
     if len(data) < _STAMP_END:
         raise MessageError(
-            f"serialised message of {len(data)} bytes, a header stamp ends at byte {_STAMP_END}: the bag is damaged"
+            f"serialized message of {len(data)} bytes, a header stamp ends at byte {_STAMP_END}: the bag is damaged"
         )
     # The second byte of the encapsulation is odd for little-endian (OMG DDSI-RTPS 2.2, 10.5).
     return struct.Struct("<iI" if data[1] & 1 else ">iI")

@@ -10,7 +10,7 @@ from stereo_depth_ros.core.types import F32
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.messages.types import MessageTypes
-from stereo_depth_ros.stages.depth import millimetres
+from stereo_depth_ros.stages.depth import millimeters
 
 __all__ = ["depth_message"]
 
@@ -18,7 +18,7 @@ __all__ = ["depth_message"]
 def depth_message(
     types: MessageTypes, pool: PayloadPool, depth_m: F32, encoding: str, stamp_ns: int, frame_id: str
 ) -> Any:
-    """A REP 118 depth image of float32 (H, W) metres: 32FC1 with NaN, or 16UC1 millimetres with 0."""
-    pixels = depth_m if encoding == "32FC1" else millimetres(depth_m)
+    """A REP 118 depth image of float32 (H, W) meters: 32FC1 with NaN, or 16UC1 millimeters with 0."""
+    pixels = depth_m if encoding == "32FC1" else millimeters(depth_m)
     payload = pool.get("depth", pixels.nbytes)
     return image_message(types, pixels, encoding, stamp_ns, frame_id, payload)

@@ -108,7 +108,7 @@ def published_disparity(msg: Any, topic: str = "disparity") -> F32:
             f"{topic}: {len(image.data)} bytes, step x height is {image.step * image.height}: the payload is cut short"
         )
     if not (msg.f > 0 and msg.t > 0):
-        raise MessageError(f"{topic}: f = {msg.f}, T = {msg.t}, both must be positive (pixels, metres): calibrate")
+        raise MessageError(f"{topic}: f = {msg.f}, T = {msg.t}, both must be positive (pixels, meters): calibrate")
     dtype = np.dtype(">f4" if image.is_bigendian else "<f4")
     rows = np.frombuffer(image.data, dtype, image.step // 4 * image.height).reshape(image.height, -1)[:, : image.width]
     published = np.ascontiguousarray(rows, np.float32)

@@ -26,7 +26,7 @@ class StoredEncoding:
         samples: samples per pixel of a row.
         sample_bytes: bytes per sample, 1 or 2.
         cvt_code: code of cv2.cvtColor that makes ``decoded`` of it, None where nothing is to be done.
-        multiple: (height, width) of the smallest block that has all colours; an image is whole blocks.
+        multiple: (height, width) of the smallest block that has all colors; an image is whole blocks.
         smallest: least height and width that can be decoded.
         payload_rows: payload rows per two image rows; above 2 where a chroma plane follows the luma plane.
     """
@@ -41,7 +41,7 @@ class StoredEncoding:
 
 
 def _bayer(cvt_code: int, sample_bytes: int) -> StoredEncoding:
-    # OpenCV interpolates from neighbours and leaves an image without an interior black.
+    # OpenCV interpolates from neighbors and leaves an image without an interior black.
     return StoredEncoding("bgr8", 1, sample_bytes, cvt_code, smallest=3)
 
 
@@ -134,7 +134,7 @@ _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 def imdecode(data: Any) -> NDArray[Any] | None:
     """uint8 or uint16 (H, W), (H, W, 3) or (H, W, 4) as stored; None where ``data`` is no whole image of that."""
     content = bytes(data)
-    # Some versions of OpenCV fill what is missing of a truncated jpeg with grey and say nothing. A marker cannot occur
+    # Some versions of OpenCV fill what is missing of a truncated jpeg with gray and say nothing. A marker cannot occur
     # inside a scan, so a whole file has its end marker behind the start of its last scan.
     if content.startswith(_JPEG_START) and content.rfind(_JPEG_END) < content.rfind(_JPEG_SCAN):
         return None

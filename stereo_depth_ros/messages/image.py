@@ -43,7 +43,7 @@ def decode_image(msg: Any, *, topic: str = "") -> Frame:
     """The frame of a sensor_msgs/Image.
 
     Pixels are read-only. Unpadded mono8, rgb8 and bgr8 are a view on ``msg.data``, everything else is new memory:
-    rgba8 becomes rgb8, other colour bgr8, 16 bit is scaled to 8 (65535 becomes 255).
+    rgba8 becomes rgb8, other color bgr8, 16 bit is scaled to 8 (65535 becomes 255).
 
     Raises:
         MessageError: unknown encoding, zero or impossible size, ``step`` below a row, or a payload that is not
@@ -57,7 +57,7 @@ def decode_image(msg: Any, *, topic: str = "") -> Frame:
         samples = samples.view(">u2" if msg.is_bigendian else "<u2")
     if encoding.samples > 1:
         samples = samples.reshape(rows, msg.width, encoding.samples)
-    # One native contiguous layout for everybody: compiled kernels are specialised on it.
+    # One native contiguous layout for everybody: compiled kernels are specialized on it.
     samples = np.require(samples, samples.dtype.newbyteorder("="), ["C", "A"])
     return _frame(msg.header, to_decoded(samples, encoding), encoding.decoded)
 
@@ -92,7 +92,7 @@ def _checked_encoding(msg: Any, topic: str) -> StoredEncoding:
 def decode_compressed(msg: Any, *, topic: str = "") -> Frame:
     """The frame of a sensor_msgs/CompressedImage (jpeg, png).
 
-    One channel is mono8 (bgr8 where ``format`` says that it holds a Bayer mosaic), colour is bgr8, as image_transport
+    One channel is mono8 (bgr8 where ``format`` says that it holds a Bayer mosaic), color is bgr8, as image_transport
     stores it; only "... compressed rgb8" in ``format`` makes it rgb8. 16 bit is scaled to 8 as in
     :func:`decode_image`. Pixels are new memory, read-only.
 
@@ -188,7 +188,7 @@ def compressed_message(
     frame_id: str,
     quality: int = 90,
 ) -> Any:
-    """A sensor_msgs/CompressedImage as image_transport makes it (colour is stored as bgr8).
+    """A sensor_msgs/CompressedImage as image_transport makes it (color is stored as bgr8).
 
     Args:
         types: the family of messages.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""sensor_msgs/PointCloud2, organised from disparities or sparse from points."""
+"""sensor_msgs/PointCloud2, organized from disparities or sparse from points."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def cloud_message(
     color_encoding: str = "mono8",
     payload: tuple[Any, U8] | None = None,
 ) -> Any:
-    """An organised PointCloud2, NaN where invalid.
+    """An organized PointCloud2, NaN where invalid.
 
     Args:
         types: the message classes.
@@ -39,7 +39,7 @@ def cloud_message(
         triangulation: the geometry of the rig.
         layout: the bytes of a point.
         stamp_ns, frame_id: header, that of the left image.
-        color, color_encoding: the left rectified image, where the layout has a colour.
+        color, color_encoding: the left rectified image, where the layout has a color.
         payload: a reused ``types.payload(H * W * point_step)``, zeroed when made, or None for a new one.
 
     Raises:
@@ -58,8 +58,8 @@ def sparse_cloud_message(
 
     Args:
         types: the message classes.
-        points_m: float64 (N, 3), metres.
-        rgb: uint8 (N, 3), their colours, where the layout has a colour.
+        points_m: float64 (N, 3), meters.
+        rgb: uint8 (N, 3), their colors, where the layout has a color.
         layout: the bytes of a point.
         stamp_ns, frame_id: header, that of the left image.
     """

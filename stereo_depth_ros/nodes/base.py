@@ -21,7 +21,7 @@ from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.matching import matcher_from_config
-from stereo_depth_ros.nodes.diagnostics import Health
+from stereo_depth_ros.nodes.diagnostics import NodeDiagnostics
 from stereo_depth_ros.nodes.message_types import RclpyTypes
 from stereo_depth_ros.nodes.parameters import NodeParameters
 
@@ -78,7 +78,7 @@ class StereoNode(Node):  # type: ignore[misc]
         self.types = RclpyTypes()
         self.parameters = NodeParameters(self, PairingConfig, *configs)
         self.parameters.on_change = self._follow_demand
-        self.health = Health(self)
+        self.diagnostics = NodeDiagnostics(self)
         self._outputs: list[Output] = []
         self._inputs: list[_Input] = []
         self.on_idle: list[Callable[[], object]] = []  # called when no output is wanted any more
@@ -109,7 +109,7 @@ class StereoNode(Node):  # type: ignore[misc]
         self._inputs.append(_Input(message_type, topic, callback, wanted))
 
     def refuse_equal_topics(self, left: str, right: str) -> None:
-        """Raise TopicError where both eyes were remapped to the same topic."""
+        """Raise TopicError where both cameras were remapped to the same topic."""
         resolved = self.resolve_topic_name(left)
         if resolved == self.resolve_topic_name(right):
             raise TopicError(f"{left} and {right} are both {resolved}: remap them to different topics")
@@ -130,7 +130,7 @@ class StereoNode(Node):  # type: ignore[misc]
             wanted = demand and item.wanted()
             if wanted and item.subscription is None:
                 item.received_before = -1  # silence is told after a whole interval without a message
-                with self.health.guard():
+                with self.diagnostics.catch():
                     item.subscription = self._subscribe(item)
             elif not wanted and item.subscription is not None:
                 self.destroy_subscription(item.subscription)
@@ -143,12 +143,12 @@ class StereoNode(Node):  # type: ignore[misc]
     def _subscribe(self, item: _Input) -> Subscription:
         def receive(message: Any) -> None:
             item.received += 1
-            with self.health.guard():
+            with self.diagnostics.catch():
                 item.callback(message)
 
         def incompatible(event: Any) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind)
-            self.health.complain(
+            self.diagnostics.report_error(
                 f"incompatible qos {item.topic}",
                 f"{self.resolve_topic_name(item.topic)}: a publisher offers less {policy} than is asked for, nothing "
                 f"will arrive from it: change the publisher, or set qos_overrides.{self.resolve_topic_name(item.topic)}"
@@ -178,7 +178,7 @@ class StereoNode(Node):  # type: ignore[misc]
                     if publishers
                     else "nobody publishes it: start the camera or remap the topic"
                 )
-                self.health.complain(
+                self.diagnostics.report_error(
                     f"silent {item.topic}", f"{topic}: nothing received for {_SILENCE_S:g} s; {remedy}"
                 )
             item.received_before = item.received

@@ -64,7 +64,7 @@ class CalibrationInput:
         self._waiting.append(use)
         if len(self._waiting) > self._node.parameters.get(PairingConfig).queue_size:
             self._waiting.popleft()
-            self._node.health.counters["dropped without calibration"] += 1
+            self._node.diagnostics.counters["dropped without calibration"] += 1
             missing = ", ".join(self._node.resolve_topic_name(t) for t in (_LEFT, _RIGHT) if t not in self._infos)
             raise CalibrationError(f"images arrive, but nothing yet on {missing}: publish camera infos, or remap them")
 
@@ -78,7 +78,7 @@ class CalibrationInput:
         if len(self._infos) == 2:
             waiting, self._waiting = self._waiting, deque()
             for use in waiting:
-                with self._node.health.guard():
+                with self._node.diagnostics.catch():
                     self.with_rig(use)
 
     def _make_rig(self) -> StereoRig:
@@ -86,7 +86,7 @@ class CalibrationInput:
         try:
             return StereoRig.from_infos(self._infos[_LEFT], self._infos[_RIGHT], topics)
         except CalibrationError:
-            self._node.health.counters["dropped without calibration"] += 1
+            self._node.diagnostics.counters["dropped without calibration"] += 1
             raise
 
 

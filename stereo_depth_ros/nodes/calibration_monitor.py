@@ -16,7 +16,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from stereo_depth_ros.calibration.auto_correction import AutoCorrection, Correction
 from stereo_depth_ros.calibration.misalignment import CorrectionLimits, Misalignment, MisalignmentEstimator
 from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
-from stereo_depth_ros.config import HealthConfig
+from stereo_depth_ros.config import CalibrationMonitorConfig
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import sensor_intrinsics
 from stereo_depth_ros.core.images import to_gray
@@ -24,10 +24,10 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
 from stereo_depth_ros.nodes.runner import run
 
-__all__ = ["HealthNode", "main"]
+__all__ = ["CalibrationMonitor", "main"]
 
 MIN_MATCHES = 20  # of one pair, below which it shows nothing
 _AXES = ("pitch", "yaw", "roll")
@@ -44,7 +44,7 @@ _FIGURES = (
 _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class HealthNode(StereoNode):
+class CalibrationMonitor(StereoNode):
     """Subscribes {left,right}/{image_rect,camera_info}, publishes health/row_error, and what it finds on /diagnostics.
 
     With auto_correct it publishes right/camera_info_corrected, one for each right/camera_info, for the node that
@@ -52,9 +52,9 @@ class HealthNode(StereoNode):
     """
 
     def __init__(self) -> None:
-        super().__init__("health_node", HealthConfig)
+        super().__init__("health_node", CalibrationMonitorConfig)
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
-        self._config = self.parameters.get(HealthConfig)
+        self._config = self.parameters.get(CalibrationMonitorConfig)
         self._calibration = CalibrationInput(self)
         self._row_error = self.add_output(Float64MultiArray, "health/row_error")
         self._watch: _Watch | None = None
@@ -69,21 +69,21 @@ class HealthNode(StereoNode):
         self.stay_awake()
 
     def _on_pair(self, left: Any, right: Any) -> None:
-        now_ns, rate = stamp_ns(left.header), self.parameters.get(HealthConfig).health_rate
+        now_ns, rate = stamp_ns(left.header), self.parameters.get(CalibrationMonitorConfig).health_rate
         due = not rate or not 0 <= now_ns - self._looked_at_ns < 1e9 / rate
         if due:
             self._looked_at_ns = now_ns
             self._calibration.with_rig(lambda rig: self._look(left, right, rig))
 
     def _look(self, left: Any, right: Any, rig: StereoRig) -> None:
-        frames = [decode_eye(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
-        with self.health.timed("match rows"):
+        frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
+        with self.diagnostics.timed("match rows"):
             matches = match_rows(to_gray(frames[0]), to_gray(frames[1]))
         if self._watch is None or self._watch.rig is not rig:
             self._watch = _Watch(rig, self._config)
             self._say_correction(left.header.stamp)
         if len(matches) < MIN_MATCHES:
-            self.health.counters["pairs with too few features"] += 1
+            self.diagnostics.counters["pairs with too few features"] += 1
             return
         found, corrected = self._watch.look(matches)
         self._row_error.publish(_row_error_message(matches, found))
@@ -93,8 +93,8 @@ class HealthNode(StereoNode):
 
     def _report(self, matches: RowMatches, found: Misalignment | None) -> None:
         """On /diagnostics."""
-        limit_px = self.parameters.get(HealthConfig).row_error_limit
-        self.health.facts = _facts(matches, found)
+        limit_px = self.parameters.get(CalibrationMonitorConfig).row_error_limit
+        self.diagnostics.facts = _facts(matches, found)
         warnings = []
         median_px = matches.median_px if found is None else found.row_median_px
         if median_px > limit_px:
@@ -109,7 +109,7 @@ class HealthNode(StereoNode):
                 f"nobody subscribes to {topic}: remap right/camera_info of the node that rectifies to it, or nothing "
                 "is corrected"
             )
-        self.health.warning = "; ".join(warnings)
+        self.diagnostics.warning = "; ".join(warnings)
 
     def _on_right_info(self, info: Any) -> None:
         """The same, with what has been corrected, for the sensor; as it came until there is something."""
@@ -144,7 +144,7 @@ class HealthNode(StereoNode):
 class _Watch:
     """One rig under observation, corrected or not."""
 
-    def __init__(self, rig: StereoRig, config: HealthConfig) -> None:
+    def __init__(self, rig: StereoRig, config: CalibrationMonitorConfig) -> None:
         self.rig = rig
         reference_deg = config.reference_yaw if config.correct_yaw else None
         self._estimator = MisalignmentEstimator(rig, reference_deg)
@@ -212,7 +212,7 @@ def _correction_in_words(correction: Correction) -> str:
 
 def main() -> int:
     """Run the node."""
-    return run(HealthNode)
+    return run(CalibrationMonitor)
 
 
 if __name__ == "__main__":

@@ -32,13 +32,13 @@ from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.plots.coverage import coverage_picture
-from stereo_depth_ros.plots.drawing import save_picture
-from stereo_depth_ros.plots.operator_overlay import live_picture
+from stereo_depth_ros.plots.coverage import coverage_plot
+from stereo_depth_ros.plots.drawing import save_png
+from stereo_depth_ros.plots.operator_overlay import operator_overlay
 
 __all__ = ["CalibrationNode", "main"]
 
-EYES = ("left", "right")
+SIDES = ("left", "right")
 COMMIT_TIMEOUT_S = 5.0  # for a driver to appear, and again for its answer
 
 
@@ -64,7 +64,7 @@ class CalibrationNode(StereoNode):
         )
         self._live = LiveCalibration(board, config.lens_model, config.max_board_motion)
         self._lock = threading.Lock()  # of the live calibration
-        self._picture = self.add_output(Image, "calibration/image")
+        self._overlay = self.add_output(Image, "calibration/image")
         pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
         add_image_input(self, "left/image_raw", pairs.add_left)
         add_image_input(self, "right/image_raw", pairs.add_right)
@@ -73,7 +73,7 @@ class CalibrationNode(StereoNode):
         self._newest: queue.Queue[tuple[Any, Any] | None] = queue.Queue(1)
         self._worker = threading.Thread(target=self._work, name="board", daemon=True)
         self._worker.start()
-        self._say("waiting for pictures")
+        self._say("waiting for images")
         self.stay_awake()
 
     def destroy_node(self) -> None:
@@ -94,39 +94,41 @@ class CalibrationNode(StereoNode):
             except queue.Full:
                 try:
                     self._newest.get_nowait()
-                    self.health.counters["pairs passed over"] += 1
+                    self.diagnostics.counters["pairs passed over"] += 1
                 except queue.Empty:
                     pass
 
     def _work(self) -> None:
         while (pair := self._newest.get()) is not None:
-            with self.health.guard():
+            with self.diagnostics.catch():
                 self._look(*pair)
 
     def _look(self, left: Any, right: Any) -> None:
-        frames = [decode_from(self, f"{eye}/image_raw", message) for eye, message in (("left", left), ("right", right))]
+        frames = [
+            decode_from(self, f"{side}/image_raw", message) for side, message in (("left", left), ("right", right))
+        ]
         grays = [to_gray(frame) for frame in frames]
-        with self._lock, self.health.timed("look for the board"):
+        with self._lock, self.diagnostics.timed("look for the board"):
             self._live.max_motion_px = self.parameters.get(CalibrationConfig).max_board_motion
             look = self._live.look(f"{stamp_ns(left.header) / 1e9:.3f} s", *grays)
             self._say(look.value)
             if look is Look.TAKEN:
                 advice = "; ".join(self._live.advice) or "enough views: call ~/calibrate"
                 self.get_logger().info(f"view {len(self._live.views)} taken; {advice}")
-            if self._picture.wanted:
-                self._publish_picture(frames[0], grays[0], look)
+            if self._overlay.wanted:
+                self._publish_overlay(frames[0], grays[0], look)
 
-    def _publish_picture(self, frame: Frame, gray: U8, look: Look) -> None:
+    def _publish_overlay(self, frame: Frame, gray: U8, look: Look) -> None:
         live = self._live
         taken = [view.left.image_px for view in live.views]
         seen = live.seen.image_px if live.seen is not None else None
-        picture = live_picture(gray, taken, seen, live.coverage, look.value, live.advice)
-        self._picture.publish(image_message(self.types, picture, "bgr8", frame.stamp_ns, frame.frame_id))
+        image = operator_overlay(gray, taken, seen, live.coverage, look.value, live.advice)
+        self._overlay.publish(image_message(self.types, image, "bgr8", frame.stamp_ns, frame.frame_id))
 
     def _say(self, words: str) -> None:
         """On /diagnostics."""
         coverage = self._live.coverage
-        self.health.facts = {
+        self.diagnostics.facts = {
             "views": str(len(self._live.views)),
             **{f"coverage {name}": f"{getattr(coverage, name):.2f}" for name in ("x", "y", "size", "skew")},
             "missing": "; ".join(self._live.advice) or "nothing: call ~/calibrate",
@@ -161,7 +163,7 @@ class CalibrationNode(StereoNode):
     def _save(self) -> str:
         result, folder = self._result(), Path(self.parameters.get(CalibrationConfig).calibration_folder).expanduser()
         save_calibration(result, folder)
-        save_picture(folder / "coverage.png", coverage_picture(result))
+        save_png(folder / "coverage.png", coverage_plot(result))
         return f"left.yaml, right.yaml, calibration.json, .txt and coverage.png written to {folder.resolve()}"
 
     def _commit(self) -> str:
@@ -171,7 +173,7 @@ class CalibrationNode(StereoNode):
         executor = SingleThreadedExecutor(context=self.context)
         executor.add_node(node)
         try:
-            clients = [self._client(node, self.resolve_service_name(f"{eye}/set_camera_info")) for eye in EYES]
+            clients = [self._client(node, self.resolve_service_name(f"{side}/set_camera_info")) for side in SIDES]
             self._send(executor, clients[0], rig.left)
             try:
                 self._send(executor, clients[1], rig.right)

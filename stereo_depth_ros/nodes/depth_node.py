@@ -41,7 +41,7 @@ class DepthNode(StereoNode):
     def _publish(self, message: Any, rig: StereoRig) -> None:
         topic = self.resolve_topic_name("disparity")
         stamp, frame_id = stamp_ns(message.header), message.header.frame_id
-        with self.health.timed("depth"):
+        with self.diagnostics.timed("depth"):
             disparity_px = published_disparity(message, topic)
             depth_m = depth_from_disparity(disparity_px, published_triangulation(message, rig, topic))
         encoding = self.parameters.get(DepthConfig).depth_encoding

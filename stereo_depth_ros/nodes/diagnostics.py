@@ -17,13 +17,13 @@ from rclpy.node import Node
 
 from stereo_depth_ros.core.errors import StereoDepthError
 
-__all__ = ["Health"]
+__all__ = ["NodeDiagnostics"]
 
 _QUIET_S = 5.0  # the same complaint is logged at most once in this time
 _WINDOW = 100  # frames over which timings are told
 
 
-class Health:
+class NodeDiagnostics:
     """Counters and complaints of a node; a complaint is an error that is survived.
 
     Args:
@@ -42,16 +42,16 @@ class Health:
         self.warning = ""
         self._timings_ms: dict[str, deque[float]] = {}
         self._said_at: dict[str, float] = {}
-        self._last_complaint = ""
+        self._last_error = ""
         self._unsaid: Counter[str] = Counter()
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # A steady clock: diagnostics go on while simulated time stands still.
         node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def complain(self, kind: str, text: str) -> None:
+    def report_error(self, kind: str, text: str) -> None:
         """Count ``kind``; log the text, at most every five seconds a kind."""
         self.counters[kind] += 1
-        self._last_complaint = text
+        self._last_error = text
         now = time.monotonic()
         if now - self._said_at.get(kind, -_QUIET_S) < _QUIET_S:
             self._unsaid[kind] += 1
@@ -61,16 +61,16 @@ class Health:
         self._node.get_logger().error(f"{text} ({more} more of this kind)" if more else text)
 
     @contextmanager
-    def guard(self) -> Iterator[None]:
+    def catch(self) -> Iterator[None]:
         """Nothing that arrives may kill the node: what goes wrong inside becomes a complaint."""
         try:
             yield
         except StereoDepthError as error:
-            self.complain(type(error).__name__, str(error))
+            self.report_error(type(error).__name__, str(error))
         except Exception as error:  # the boundary of the node
             if not self._node.context.ok():
                 return  # the node is shutting down: publishers are gone
-            self.complain("unexpected", f"unexpected {type(error).__name__}: {error}\n{traceback.format_exc()}")
+            self.report_error("unexpected", f"unexpected {type(error).__name__}: {error}\n{traceback.format_exc()}")
 
     def timing(self, timings_ms: dict[str, float]) -> None:
         """Keep the milliseconds of the stages of one frame."""
@@ -90,12 +90,12 @@ class Health:
         for stage, times in self._timings_ms.items():
             p50, p95 = np.percentile(np.array(times), (50, 95))
             values |= {f"{stage} p50 ms": f"{p50:.3f}", f"{stage} p95 ms": f"{p95:.3f}"}
-        complaining = time.monotonic() - max(self._said_at.values(), default=-_QUIET_S) < _QUIET_S
+        failing = time.monotonic() - max(self._said_at.values(), default=-_QUIET_S) < _QUIET_S
         healthy = DiagnosticStatus.WARN if self.warning else DiagnosticStatus.OK
         status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if complaining else healthy,
+            level=DiagnosticStatus.ERROR if failing else healthy,
             name=self._node.get_fully_qualified_name(),
-            message=self._last_complaint if complaining else self.warning or "ok",
+            message=self._last_error if failing else self.warning or "ok",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])

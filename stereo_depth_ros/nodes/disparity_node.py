@@ -16,7 +16,7 @@ from stereo_depth_ros.messages.disparity import match_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.disparity import DisparityStage
 
@@ -43,8 +43,8 @@ class DisparityNode(StereoNode):
 
     def _match(self, left: Any, right: Any, rig: StereoRig) -> None:
         config = self.parameters.get(MatchingConfig)
-        frames = [decode_eye(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
-        with self.health.timed("match"):
+        frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
+        with self.diagnostics.timed("match"):
             match = self._stage(config, rig).match(to_gray(frames[0]), to_gray(frames[1]))
         self._output.publish(match_message(self.types, self._pool, match, config, rig, frames[0]))
 

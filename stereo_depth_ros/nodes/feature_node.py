@@ -16,7 +16,7 @@ from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.messages.point_cloud import sparse_cloud_message
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.features import FeatureStage
 from stereo_depth_ros.stages.point_cloud import CloudLayout
@@ -45,8 +45,8 @@ class FeatureNode(StereoNode):
 
     def _publish(self, left: Any, right: Any, rig: StereoRig) -> None:
         config = self.parameters.get(MatchingConfig)
-        frames = [decode_eye(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
-        with self.health.timed("match"):
+        frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
+        with self.diagnostics.timed("match"):
             matches = self._stage(config, rig).find(to_gray(frames[0]), to_gray(frames[1]))
         points_m = matches.points_m(Triangulation.from_rig(rig))
         layout = CloudLayout.of(self.parameters.get(CloudConfig))

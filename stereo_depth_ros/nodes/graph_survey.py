@@ -25,12 +25,12 @@ from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.diagnosis.checks.streams import NEAR
 from stereo_depth_ros.diagnosis.finding import Finding
-from stereo_depth_ros.diagnosis.survey import PAIRS_LOOKED_AT, EyeRecord, StereoSetUp
+from stereo_depth_ros.diagnosis.survey import PAIRS_LOOKED_AT, CameraRecord, StereoSetup
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.nodes.transport import prepare_process
 
-__all__ = ["camera_topics", "probe_graph"]
+__all__ = ["camera_topics", "survey_graph"]
 
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _KINDS = {_IMAGE: Image, _COMPRESSED: CompressedImage}
@@ -46,12 +46,12 @@ def camera_topics(namespace: str) -> tuple[str, ...]:
     return tuple(f"{prefix}/{name}{end}" for name in _IMAGE_NAMES for end in ("", "/compressed"))
 
 
-def probe_graph(
+def survey_graph(
     left: Sequence[str],
     right: Sequence[str],
     seconds: float,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> StereoSetUp:
+) -> StereoSetup:
     """What both cameras send, as the nodes of this package would receive it.
 
     Args:
@@ -71,7 +71,7 @@ def probe_graph(
     try:
         node = Node("stereo_depth_doctor", context=context, enable_rosout=False)
         try:
-            probe = _Probe(node, seconds)
+            probe = _GraphSurvey(node, seconds)
             try:
                 return probe.listen(_resolved(node, left), _resolved(node, right), progress)
             finally:
@@ -82,7 +82,7 @@ def probe_graph(
         rclpy.try_shutdown(context=context)
 
 
-class _Probe:
+class _GraphSurvey:
     """Subscribes both images and both camera infos, and keeps their stamps and a few pairs."""
 
     def __init__(self, node: Node, seconds: float) -> None:
@@ -97,16 +97,16 @@ class _Probe:
         self._next_pair = 0.0
         self._subscriptions: list[Any] = []
 
-    def listen(self, left: Sequence[str], right: Sequence[str], progress: Callable[[int, int], None]) -> StereoSetUp:
-        """See :func:`probe_graph`."""
+    def listen(self, left: Sequence[str], right: Sequence[str], progress: Callable[[int, int], None]) -> StereoSetup:
+        """See :func:`survey_graph`."""
         topics = self._discover(left, right)
         names = {"left": topics.left_info or _info_of(topics.left_image)}
         names["right"] = topics.right_info or _info_of(topics.right_image)
         image_kind = _COMPRESSED if topics.compressed else _IMAGE
         images = {"left": topics.left_image, "right": topics.right_image}
-        for eye in ("left", "right"):
-            self._subscribe(CameraInfo, names[eye], functools.partial(self._receive_info, eye))
-            self._subscribe(_KINDS[image_kind], images[eye], functools.partial(self._receive_image, eye))
+        for side in ("left", "right"):
+            self._subscribe(CameraInfo, names[side], functools.partial(self._receive_info, side))
+            self._subscribe(_KINDS[image_kind], images[side], functools.partial(self._receive_image, side))
         self._spin(self._seconds, progress)
         silent = {name: self._why_silent(name) for name in (*images.values(), *names.values())}
         if not any((*self._stamps.values(), *self._infos.values())):
@@ -114,12 +114,12 @@ class _Probe:
                 f"nothing came on {' and '.join(images.values())} in {self._seconds:g} s: {silent[images['left']]}"
             )
         types, findings = RosbagsTypes(), list[Finding]()
-        infos = {eye: self._decode_infos(types, eye, names[eye], findings) for eye in images}
+        infos = {side: self._decode_infos(types, side, names[side], findings) for side in images}
         pairs = [_decode_pair(types, image_kind, images, pair, findings) for pair in self._pairs]
-        return StereoSetUp(
+        return StereoSetup(
             "the graph",
-            EyeRecord(images["left"], names["left"], self._stamps["left"], infos["left"]),
-            EyeRecord(images["right"], names["right"], self._stamps["right"], infos["right"]),
+            CameraRecord(images["left"], names["left"], self._stamps["left"], infos["left"]),
+            CameraRecord(images["right"], names["right"], self._stamps["right"], infos["right"]),
             [pair for pair in pairs if pair is not None],
             topics.rectified,
             findings,
@@ -134,7 +134,7 @@ class _Probe:
         self._executor.shutdown()
 
     def _discover(self, left: Sequence[str], right: Sequence[str]) -> StereoTopics:
-        """The topics of both eyes; where they are not published in time, those of the eye that is, else the first."""
+        """The topics of both cameras; where they are not published in time those of one that is, else the first."""
         candidates = list(zip(left, right, strict=True) if len(left) == len(right) else itertools.product(left, right))
         end, topics = time.monotonic() + self._seconds, None
         while time.monotonic() < end:
@@ -165,13 +165,13 @@ class _Probe:
             self._executor.spin_once(timeout_sec=min(0.1, seconds - gone))
             progress(int(gone), round(seconds))
 
-    def _receive_info(self, eye: str, data: bytes) -> None:
-        self._infos[eye].setdefault(data[_AFTER_STAMP:], data)
+    def _receive_info(self, side: str, data: bytes) -> None:
+        self._infos[side].setdefault(data[_AFTER_STAMP:], data)
 
-    def _receive_image(self, eye: str, data: bytes) -> None:
+    def _receive_image(self, side: str, data: bytes) -> None:
         stamp_ns = cdr_stamp_ns(data)
-        self._stamps[eye].append(stamp_ns)
-        add = self._pairing.add_left if eye == "left" else self._pairing.add_right
+        self._stamps[side].append(stamp_ns)
+        add = self._pairing.add_left if side == "left" else self._pairing.add_right
         pairs = add(stamp_ns, data)
         if pairs and len(self._pairs) < PAIRS_LOOKED_AT and time.monotonic() >= self._next_pair:
             self._pairs.append(pairs[0])
@@ -184,9 +184,9 @@ class _Probe:
         others = sorted(name for name, kind in self._published().items() if kind in _KINDS)
         return f"nobody publishes it: start the camera, or name its topic, images are on {', '.join(others) or 'none'}"
 
-    def _decode_infos(self, types: RosbagsTypes, eye: str, topic: str, findings: list[Finding]) -> list[Any]:
+    def _decode_infos(self, types: RosbagsTypes, side: str, topic: str, findings: list[Finding]) -> list[Any]:
         infos = []
-        for data in self._infos[eye].values():
+        for data in self._infos[side].values():
             try:
                 infos.append(types.deserialize(data, "sensor_msgs/msg/CameraInfo"))
             except MessageError as error:
@@ -222,7 +222,7 @@ def _resolved(node: Node, names: Sequence[str]) -> list[str]:
 
 
 def _assumed(candidates: Sequence[tuple[str, str]], types: Mapping[str, str]) -> StereoTopics:
-    """The first pair of which one eye is published, else the first one of all."""
+    """The first pair of which one camera is published, else the first one of all."""
     left, right = next((pair for pair in candidates if types.keys() & set(pair)), candidates[0])
     kind = types.get(left) or types.get(right) or _IMAGE
     return find_stereo_topics({left: kind, right: kind}, left, right)

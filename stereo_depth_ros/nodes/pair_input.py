@@ -17,7 +17,7 @@ from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 
-__all__ = ["PairInput", "add_image_input", "decode_eye", "decode_from"]
+__all__ = ["PairInput", "add_image_input", "decode_from", "decode_side"]
 
 
 class PairInput:
@@ -49,11 +49,11 @@ class PairInput:
     def _deliver(self, pairs: list[tuple[Any, Any]]) -> None:
         self._count()
         for left, right in pairs:
-            with self._node.health.guard():
+            with self._node.diagnostics.catch():
                 self._on_pair(left, right)
 
     def _count(self) -> None:
-        counts, counters = self._pairing.counts, self._node.health.counters
+        counts, counters = self._pairing.counts, self._node.diagnostics.counters
         left, right = self._topics
         counters["paired"] = counts.paired
         counters[f"unpaired {left}"] = counts.dropped_left
@@ -62,7 +62,7 @@ class PairInput:
         if counts.backwards > self._backwards:
             self._backwards = counts.backwards
             topics = ", ".join(self._node.resolve_topic_name(topic) for topic in self._topics)
-            self._node.health.complain(
+            self._node.diagnostics.report_error(
                 "stamps went backwards",
                 f"{topics}: stamps went backwards; what waited was dropped, pairing begins anew: "
                 "expected when a bag starts again, else check the clock of the camera driver",
@@ -84,10 +84,10 @@ def decode_from(node: StereoNode, topic: str, message: Any) -> Frame:
     return decode(message, node.resolve_topic_name(topic))
 
 
-def decode_eye(node: StereoNode, eye: str, topic: str, message: Any, rig: StereoRig) -> Frame:
-    """The frame of an eye ("left" or "right"); CalibrationError where it is not what the camera infos say."""
+def decode_side(node: StereoNode, side: str, topic: str, message: Any, rig: StereoRig) -> Frame:
+    """The frame of a camera ("left" or "right"); CalibrationError where it is not what the camera infos say."""
     frame = decode_from(node, topic, message)
     resolved = node.resolve_topic_name(topic)
-    rig.check_eye(eye, frame.frame_id, resolved)
+    rig.check_side(side, frame.frame_id, resolved)
     rig.check_image(frame.pixels.shape[1], frame.pixels.shape[0], resolved)
     return frame

@@ -59,7 +59,7 @@ class PointCloudNode(StereoNode):
         if image is None and layout.rgb_offset is not None:
             return  # use_color was switched on between
         color = None if image is None else decode_from(self, _COLOR, image)
-        with self.health.timed("cloud"):
+        with self.diagnostics.timed("cloud"):
             disparity_px = published_disparity(disparity, topic)
             message = cloud_message(
                 self.types,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rectifies each eye as its image arrives: left, right image_raw to image_rect (grey) and image_rect_color."""
+"""Rectifies each camera as its image arrives: left, right image_raw to image_rect (gray) and image_rect_color."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import add_image_input, decode_eye
+from stereo_depth_ros.nodes.pair_input import add_image_input, decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.rectification import Rectifier
 
@@ -31,27 +31,27 @@ class RectifyNode(StereoNode):
         self._pool = PayloadPool(self.types)
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._calibration = CalibrationInput(self)
-        self._eyes = {eye: self._add_eye(eye) for eye in ("left", "right")}
+        self._sides = {side: self._add_side(side) for side in ("left", "right")}
 
-    def _add_eye(self, eye: str) -> tuple[Any, Any]:
+    def _add_side(self, side: str) -> tuple[Any, Any]:
         def receive(message: Any) -> None:
-            self._calibration.with_rig(lambda rig: self._rectify(eye, message, rig))
+            self._calibration.with_rig(lambda rig: self._rectify(side, message, rig))
 
-        add_image_input(self, f"{eye}/image_raw", receive)
-        return self.add_output(Image, f"{eye}/image_rect"), self.add_output(Image, f"{eye}/image_rect_color")
+        add_image_input(self, f"{side}/image_raw", receive)
+        return self.add_output(Image, f"{side}/image_rect"), self.add_output(Image, f"{side}/image_rect_color")
 
-    def _rectify(self, eye: str, message: Any, rig: StereoRig) -> None:
-        gray_output, color_output = self._eyes[eye]
+    def _rectify(self, side: str, message: Any, rig: StereoRig) -> None:
+        gray_output, color_output = self._sides[side]
         rectifier = self._rectifier(rig)
-        rectify = rectifier.rectify_left if eye == "left" else rectifier.rectify_right
-        frame = decode_eye(self, eye, f"{eye}/image_raw", message, rig)
-        with self.health.timed(f"rectify {eye}"):
+        rectify = rectifier.rectify_left if side == "left" else rectifier.rectify_right
+        frame = decode_side(self, side, f"{side}/image_raw", message, rig)
+        with self.diagnostics.timed(f"rectify {side}"):
             for output, pixels, encoding in (
                 (gray_output, to_gray(frame) if gray_output.wanted else None, "mono8"),
                 (color_output, frame.pixels if color_output.wanted else None, frame.encoding),
             ):
                 if pixels is not None:
-                    payload = self._pool.get(f"{eye} {encoding}", pixels.nbytes)
+                    payload = self._pool.get(f"{side} {encoding}", pixels.nbytes)
                     rectified = rectify(pixels, payload[1].reshape(pixels.shape))
                     output.publish(
                         image_message(self.types, rectified, encoding, frame.stamp_ns, frame.frame_id, payload)

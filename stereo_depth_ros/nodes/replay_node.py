@@ -42,7 +42,7 @@ def replay(
     check: Callable[[], None] = _nothing,
     config: PipelineConfig | None = None,
 ) -> ReplayResult:
-    """Play a bag through the nodes that run in this ROS domain; rclpy is initialised for it and shut down after it.
+    """Play a bag through the nodes that run in this ROS domain; rclpy is initialized for it and shut down after it.
 
     Args:
         options: what is played, and how.
@@ -96,7 +96,7 @@ def play(
             wall_s=player.wall_s,
             stages_ms=ports.stages_ms(),
             realtime=options.realtime,
-            warnings=tuple(text for text in (pairs.warning, ports.complaints(), intruders) if text),
+            warnings=tuple(text for text in (pairs.warning, ports.errors_reported(), intruders) if text),
         )
     if options.output_path is None:
         return result

@@ -14,7 +14,7 @@ from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.message_types import message_class
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_eye
+from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline
@@ -41,7 +41,7 @@ class StereoDepthNode(StereoNode):
         self._calibration.with_rig(lambda rig: self._process(left, right, rig))
 
     def _process(self, left: Any, right: Any, rig: StereoRig) -> None:
-        frames = [decode_eye(self, e, f"{e}/image_raw", m, rig) for e, m in (("left", left), ("right", right))]
+        frames = [decode_side(self, e, f"{e}/image_raw", m, rig) for e, m in (("left", left), ("right", right))]
         result = self._pipeline(self._config(), rig).process(StereoPair(*frames))
         for output, topic, build in self._made:
             if output.wanted:
@@ -52,7 +52,7 @@ class StereoDepthNode(StereoNode):
                 sent = time.perf_counter()
                 result.timings_ms[f"make {topic}"] = 1e3 * (made - start)
                 result.timings_ms[f"send {topic}"] = 1e3 * (sent - made)
-        self.health.timing(result.timings_ms)
+        self.diagnostics.timing(result.timings_ms)
 
     def _config(self) -> PipelineConfig:
         get = self.parameters.get

@@ -87,7 +87,7 @@ def process_bag(
 
 
 class _Engine:
-    """Serialised pair to serialised outputs; the pipeline is made again when a camera info changes."""
+    """Serialized pair to serialized outputs; the pipeline is made again when a camera info changes."""
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config

@@ -49,7 +49,7 @@ class ReplayResult:
     Attributes:
         bag, output: the bag that was read and the one that was written (None: none).
         pairs: pairs sent.
-        unpaired_left, unpaired_right: images of the bag without a partner in the other eye.
+        unpaired_left, unpaired_right: images of the bag without a partner in the other camera.
         outputs: per topic; empty offline.
         left_out: pairs that could not be processed; offline only, live they are lost outputs.
         wall_s: seconds from the first pair sent to the last output received.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The preview picture of a bag of outputs: its first left image beside the depth of the same stamp."""
+"""The preview image of a bag of outputs: its first left image beside the depth of the same stamp."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ __all__ = ["save_bag_preview"]
 _LEFT, _DISPARITY = "/left/image_rect_color", "/disparity"
 
 
-def save_bag_preview(bag: Path, picture: Path, title: str = "") -> None:
+def save_bag_preview(bag: Path, image: Path, title: str = "") -> None:
     """Write the preview of the first pair of a bag of outputs as a PNG.
 
     Raises:
         BagError: the bag lacks a rectified left image with a disparity of the same stamp.
-        ImageError: the picture cannot be written.
+        ImageError: the image cannot be written.
     """
     left, depth_m = _first_pair(bag)
-    save_preview(picture, left, depth_m, title)
+    save_preview(image, left, depth_m, title)
 
 
 def _first_pair(bag: Path) -> tuple[U8, F32]:
-    """The left image, grey or BGR, and the depth float32 (H, W), metres, NaN where invalid."""
+    """The left image, gray or BGR, and the depth float32 (H, W), meters, NaN where invalid."""
     images: dict[int, Any] = {}
     disparities: dict[int, Any] = {}
     with BagReader(bag) as reader:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of the views of a calibration: where the corners lay in both eyes, and how well each view fits."""
+"""An image of the views of a calibration: where the corners lay in both cameras, and how well each view fits."""
 
 from __future__ import annotations
 
@@ -11,42 +11,42 @@ from stereo_depth_ros.calibration.calibration_result import StereoCalibration, V
 from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.plots.drawing import FAINT, TEXT, Color, canvas, draw_text, round_ticks
 
-__all__ = ["coverage_picture"]
+__all__ = ["coverage_plot"]
 
 _PANEL_WIDTH = 560
 _MARGIN, _TITLE, _CAPTION, _BARS, _AXIS = 16, 36, 30, 150, 44
 _PANEL: Color = (48, 42, 38)
-_LEFT, _RIGHT = (232, 170, 90), (90, 170, 250)  # BGR; apart in lightness and for the colour-blind
+_LEFT, _RIGHT = (232, 170, 90), (90, 170, 250)  # BGR; apart in lightness and for the color-blind
 
 
-def coverage_picture(calibration: StereoCalibration) -> U8:
-    """Both pictures with the corners of all views used, and the error of each view, uint8 (H', W', 3) BGR.
+def coverage_plot(calibration: StereoCalibration) -> U8:
+    """Both images with the corners of all views used, and the error of each view, uint8 (H', W', 3) BGR.
 
-    A corner has the colour of its view's error, turbo (Mikhailov 2019) from 0 to the largest one of the views.
+    A corner has the color of its view's error, turbo (Mikhailov 2019) from 0 to the largest one of the views.
     """
     width, height = calibration.size
     scale = _PANEL_WIDTH / width
     panel_height = round(scale * height)
     top, bars_top = _TITLE + _MARGIN // 2, _TITLE + _MARGIN // 2 + panel_height + _CAPTION + _MARGIN
-    picture = canvas(2 * _PANEL_WIDTH + 3 * _MARGIN, bars_top + _BARS + _AXIS)
+    image = canvas(2 * _PANEL_WIDTH + 3 * _MARGIN, bars_top + _BARS + _AXIS)
     largest = max(max(view.rms_left, view.rms_right) for view in calibration.views)
-    for number, (eye, color) in enumerate((("left", _LEFT), ("right", _RIGHT))):
+    for number, (side, color) in enumerate((("left", _LEFT), ("right", _RIGHT))):
         x = _MARGIN + number * (_PANEL_WIDTH + _MARGIN)
-        panel = picture[top : top + panel_height, x : x + _PANEL_WIDTH]
+        panel = image[top : top + panel_height, x : x + _PANEL_WIDTH]
         panel[:] = _PANEL
         for view in calibration.views:
             points, rms = (view.left_px, view.rms_left) if number == 0 else (view.right_px, view.rms_right)
             _draw_corners(panel, scale * (points + 0.5) - 0.5, _error_color(rms / largest))
         camera = calibration.left if number == 0 else calibration.right
-        caption = f"{eye}: {len(calibration.views)} views, rms {camera.rms_px:.3f} px"
-        draw_text(picture, caption, (x, top + panel_height + 20), color=color)
-    _draw_bars(picture[bars_top:, _MARGIN:-_MARGIN], calibration.views, largest)
+        caption = f"{side}: {len(calibration.views)} views, rms {camera.rms_px:.3f} px"
+        draw_text(image, caption, (x, top + panel_height + 20), color=color)
+    _draw_bars(image[bars_top:, _MARGIN:-_MARGIN], calibration.views, largest)
     title = (
         f"{calibration.model}, baseline {1e3 * calibration.baseline_m:.2f} mm, rms {calibration.rms_stereo_px:.3f} px, "
         f"rows {calibration.epipolar_rms_px:.3f} px"
     )
-    draw_text(picture, title, (_MARGIN, 28), 0.65)
-    return picture
+    draw_text(image, title, (_MARGIN, 28), 0.65)
+    return image
 
 
 def _error_color(share: float) -> Color:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What drawn pictures have in common: colours, text, panels of images, round ticks, files."""
+"""What drawn images have in common: colors, text, panels of images, round ticks, files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import U8
 
-__all__ = ["BACKGROUND", "FAINT", "TEXT", "Color", "canvas", "draw_text", "enlarged", "round_ticks", "save_picture"]
+__all__ = ["BACKGROUND", "FAINT", "TEXT", "Color", "canvas", "draw_text", "enlarged", "round_ticks", "save_png"]
 
 Color: TypeAlias = tuple[int, int, int]
 BACKGROUND: Color = (24, 20, 18)
@@ -24,16 +24,16 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def canvas(width: int, height: int) -> U8:
-    """An empty picture, uint8 (height, width, 3) BGR."""
+    """An empty image, uint8 (height, width, 3) BGR."""
     return np.full((height, width, 3), BACKGROUND, np.uint8)
 
 
 def draw_text(
-    picture: U8, text: str, place: tuple[int, int], size: float = 0.45, color: Color = TEXT, right: bool = False
+    image: U8, text: str, place: tuple[int, int], size: float = 0.45, color: Color = TEXT, right: bool = False
 ) -> None:
     """One line whose left end, or right end, of its base line is at ``place`` (x, y), px."""
     width = cv2.getTextSize(text, _FONT, size, 1)[0][0] if right else 0
-    cv2.putText(picture, text, (place[0] - width, place[1]), _FONT, size, color, 1, cv2.LINE_AA)
+    cv2.putText(image, text, (place[0] - width, place[1]), _FONT, size, color, 1, cv2.LINE_AA)
 
 
 def enlarged(image: U8, width: int) -> U8:
@@ -51,13 +51,13 @@ def round_ticks(low: float, high: float, most: int) -> list[float]:
     return [round(step * k, 10) for k in range(first, last + 1)]
 
 
-def save_picture(path: Path, picture: U8) -> None:
+def save_png(path: Path, image: U8) -> None:
     """Write a PNG and the folders it lies in.
 
     Raises:
         ImageError: the file cannot be written.
     """
-    done, encoded = cv2.imencode(".png", picture)
+    done, encoded = cv2.imencode(".png", image)
     if not done:
         raise ImageError(f"cannot encode {path} as PNG: check the size of the images")
     try:

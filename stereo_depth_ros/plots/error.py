@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of how good disparities are: left image, truth, ours and the error of each pixel, with legends."""
+"""An image of how good disparities are: left image, truth, ours and the error of each pixel, with legends."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.plots.drawing import FAINT, TEXT, Color, canvas, draw_text, enlarged, round_ticks
 
-__all__ = ["error_colors", "error_picture"]
+__all__ = ["error_colors", "error_plot"]
 
 _PANEL_WIDTH = 560
 _MARGIN, _TITLE, _CAPTION, _LEGEND = 16, 36, 30, 150
@@ -28,11 +28,11 @@ _CLASSES: tuple[tuple[float, str, Color], ...] = (
 )
 
 
-def error_picture(left: U8, truth_px: F32, disparity_px: F32, title: str, caption: str) -> U8:
+def error_plot(left: U8, truth_px: F32, disparity_px: F32, title: str, caption: str) -> U8:
     """Two by two panels as a uint8 (H', W', 3) BGR image.
 
-    Truth and ours share one scale of colours, turbo (Mikhailov 2019) from the smallest to the largest true disparity;
-    what is unknown or invalid is black. The error has a colour per class.
+    Truth and ours share one scale of colors, turbo (Mikhailov 2019) from the smallest to the largest true disparity;
+    what is unknown or invalid is black. The error has a color per class.
 
     Args:
         left: uint8 (H, W) or (H, W, 3) BGR, the rectified left image.
@@ -57,21 +57,21 @@ def error_picture(left: U8, truth_px: F32, disparity_px: F32, title: str, captio
         (error_colors(truth_px, disparity_px), caption),
     )
     height, width = enlarged(left, _PANEL_WIDTH).shape[:2]
-    picture = canvas(2 * width + 3 * _MARGIN + _LEGEND, _TITLE + _MARGIN + 2 * (height + _CAPTION))
+    image = canvas(2 * width + 3 * _MARGIN + _LEGEND, _TITLE + _MARGIN + 2 * (height + _CAPTION))
     for index, (panel, text) in enumerate(panels):
         x = _MARGIN + index % 2 * (width + _MARGIN)
         y = _TITLE + _MARGIN // 2 + index // 2 * (height + _CAPTION)
-        picture[y : y + height, x : x + width] = enlarged(panel, _PANEL_WIDTH)
-        draw_text(picture, text, (x, y + height + 20), color=FAINT)
-    draw_text(picture, title, (_MARGIN, 28), 0.65)
+        image[y : y + height, x : x + width] = enlarged(panel, _PANEL_WIDTH)
+        draw_text(image, text, (x, y + height + 20), color=FAINT)
+    draw_text(image, title, (_MARGIN, 28), 0.65)
     x = 2 * width + 3 * _MARGIN
-    _draw_disparity_legend(picture, x, _TITLE + _MARGIN // 2, height, low, high)
-    _draw_error_legend(picture, x, _TITLE + _MARGIN // 2 + height + _CAPTION)
-    return picture
+    _draw_disparity_legend(image, x, _TITLE + _MARGIN // 2, height, low, high)
+    _draw_error_legend(image, x, _TITLE + _MARGIN // 2 + height + _CAPTION)
+    return image
 
 
 def error_colors(truth_px: F32, disparity_px: F32) -> U8:
-    """The class of each pixel's absolute error as a colour, uint8 (H, W, 3) BGR."""
+    """The class of each pixel's absolute error as a color, uint8 (H, W, 3) BGR."""
     error = np.abs(disparity_px - truth_px)
     colors = np.empty((*truth_px.shape, 3), np.uint8)
     colors[:] = _NO_DISPARITY
@@ -101,20 +101,20 @@ def _disparity_colors(disparity_px: F32, low: float, high: float) -> U8:
     return colors
 
 
-def _draw_disparity_legend(picture: U8, x: int, top: int, height: int, low: float, high: float) -> None:
+def _draw_disparity_legend(image: U8, x: int, top: int, height: int, low: float, high: float) -> None:
     """A bar, the largest disparity at the top."""
     levels = np.linspace(255, 0, height).astype(np.uint8)[:, None]
-    picture[top : top + height, x : x + _BAR_WIDTH] = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
+    image[top : top + height, x : x + _BAR_WIDTH] = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
     for tick in round_ticks(low, high, max(2, height // 50)):
         y = top + round((high - tick) / (high - low) * (height - 1))
-        cv2.line(picture, (x + _BAR_WIDTH, y), (x + _BAR_WIDTH + 4, y), FAINT, 1)
-        draw_text(picture, f"{tick:g} px", (x + _BAR_WIDTH + 9, min(max(y + 5, top + 10), top + height)))
+        cv2.line(image, (x + _BAR_WIDTH, y), (x + _BAR_WIDTH + 4, y), FAINT, 1)
+        draw_text(image, f"{tick:g} px", (x + _BAR_WIDTH + 9, min(max(y + 5, top + 10), top + height)))
 
 
-def _draw_error_legend(picture: U8, x: int, top: int) -> None:
+def _draw_error_legend(image: U8, x: int, top: int) -> None:
     classes = [(text, color) for _, text, color in _CLASSES]
     for row, (text, color) in enumerate([*classes, ("no disparity", _NO_DISPARITY), ("no truth", _NO_TRUTH)]):
         y = top + 24 * row
-        cv2.rectangle(picture, (x, y), (x + _BAR_WIDTH, y + 16), color, -1)
-        cv2.rectangle(picture, (x, y), (x + _BAR_WIDTH, y + 16), FAINT, 1)
-        draw_text(picture, text, (x + _BAR_WIDTH + 9, y + 13), color=TEXT)
+        cv2.rectangle(image, (x, y), (x + _BAR_WIDTH, y + 16), color, -1)
+        cv2.rectangle(image, (x, y), (x + _BAR_WIDTH, y + 16), FAINT, 1)
+        draw_text(image, text, (x + _BAR_WIDTH + 9, y + 13), color=TEXT)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What who holds a calibration board looks at: the picture, the views taken so far, and what to do next."""
+"""What who holds a calibration board looks at: the image, the views taken so far, and what to do next."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from stereo_depth_ros.calibration.board_views import Coverage
 from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.plots.drawing import FAINT, TEXT, Color, canvas, draw_text
 
-__all__ = ["live_picture"]
+__all__ = ["operator_overlay"]
 
 _LINE, _MARGIN, _BAR = 22, 12, 120
 _TAKEN: Color = (150, 190, 90)
 _NOW: Color = (60, 200, 250)
 
 
-def live_picture(
+def operator_overlay(
     left: U8, taken: Sequence[F64], seen: F64 | None, coverage: Coverage, words: str, advice: Sequence[str]
 ) -> U8:
-    """The left picture with the outlines of the views taken and the corners seen now, over bars and sentences.
+    """The left image with the outlines of the views taken and the corners seen now, over bars and sentences.
 
     Args:
-        left: uint8 (H, W), grey.
+        left: uint8 (H, W), gray.
         taken: corners of each view, float64 (N, 2), px.
-        seen: corners in this picture, float64 (N, 2), px; None where there are none.
+        seen: corners in this image, float64 (N, 2), px; None where there are none.
         coverage: of the views taken.
-        words: what became of this picture.
+        words: what became of this image.
         advice: what to do next.
 
     Returns:
@@ -38,18 +38,18 @@ def live_picture(
     """
     height, width = left.shape
     below = _MARGIN + _LINE * (2 + max(1, len(advice)))
-    picture = canvas(width, height + below)
-    picture[:height] = cv2.cvtColor(left, cv2.COLOR_GRAY2BGR)
+    image = canvas(width, height + below)
+    image[:height] = cv2.cvtColor(left, cv2.COLOR_GRAY2BGR)
     for corners in taken:
-        cv2.polylines(picture[:height], [cv2.convexHull(_fixed(corners))], True, _TAKEN, 1, cv2.LINE_AA)
+        cv2.polylines(image[:height], [cv2.convexHull(_fixed(corners))], True, _TAKEN, 1, cv2.LINE_AA)
     if seen is not None:
         for x, y in _fixed(seen):
-            cv2.circle(picture[:height], (int(x), int(y)), 3, _NOW, 1, cv2.LINE_AA)
-    draw_text(picture, f"{len(taken)} views; {words}", (_MARGIN, height + _LINE))
-    _draw_bars(picture[height + _LINE :], coverage)
+            cv2.circle(image[:height], (int(x), int(y)), 3, _NOW, 1, cv2.LINE_AA)
+    draw_text(image, f"{len(taken)} views; {words}", (_MARGIN, height + _LINE))
+    _draw_bars(image[height + _LINE :], coverage)
     for number, text in enumerate(advice or ("enough: calibrate",)):
-        draw_text(picture, text, (_MARGIN, height + _LINE * (3 + number)), color=FAINT if advice else TEXT)
-    return picture
+        draw_text(image, text, (_MARGIN, height + _LINE * (3 + number)), color=FAINT if advice else TEXT)
+    return image
 
 
 def _fixed(points: F64) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:

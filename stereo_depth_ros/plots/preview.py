@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A preview picture: the left image beside its colour-mapped depth, with a legend in metres."""
+"""A preview image: the left image beside its color-mapped depth, with a legend in meters."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ _BACKGROUND = (24, 20, 18)
 _TEXT = (235, 232, 228)
 _FAINT = (160, 154, 148)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_PANEL_WIDTH = 640  # smaller images are enlarged to about this width, so that text and picture are in proportion
+_PANEL_WIDTH = 640  # smaller images are enlarged to about this width, so that text and image are in proportion
 _MARGIN, _TITLE, _CAPTION, _LEGEND = 16, 44, 30, 92
 _BAR_WIDTH, _TICK_GAP = 18, 26
 _FINE, _FEWEST_TICKS = tuple(k / 100 for k in range(101, 1000)), 4
 
 
 def preview(left: U8, depth_m: F32, title: str = "") -> U8:
-    """The picture as a uint8 (H', W', 3) BGR image.
+    """The image as a uint8 (H', W', 3) BGR image.
 
-    Colours are linear in disparity, that is in 1 / Z: turbo from far (blue) to near (red), over the 1st to the 99th
+    Colors are linear in disparity, that is in 1 / Z: turbo from far (blue) to near (red), over the 1st to the 99th
     percentile; invalid pixels are black.
 
     Args:
         left: uint8 (H, W) or (H, W, 3) BGR, the rectified left image.
-        depth_m: float32 (H, W), metres, NaN where invalid.
+        depth_m: float32 (H, W), meters, NaN where invalid.
         title: one line over both.
 
     Raises:
@@ -69,7 +69,7 @@ def save_preview(path: Path, left: U8, depth_m: F32, title: str = "") -> None:
 
 
 def color_depth(depth_m: F32, near_m: float, far_m: float) -> U8:
-    """Depth as colours, uint8 (H, W, 3) BGR: turbo (Mikhailov 2019), linear in 1 / Z, black where invalid."""
+    """Depth as colors, uint8 (H, W, 3) BGR: turbo (Mikhailov 2019), linear in 1 / Z, black where invalid."""
     valid = np.isfinite(depth_m) & (depth_m > 0)
     nearness = _nearness(np.where(valid, depth_m, far_m), near_m, far_m)
     colors: U8 = np.asarray(cv2.applyColorMap((255 * nearness + 0.5).astype(np.uint8), cv2.COLORMAP_TURBO))
@@ -78,7 +78,7 @@ def color_depth(depth_m: F32, near_m: float, far_m: float) -> U8:
 
 
 def legend_ticks(near_m: float, far_m: float, bar_px: int) -> list[float]:
-    """Round depths in metres between the ends of the legend, at least a line of text apart on its bar."""
+    """Round depths in meters between the ends of the legend, at least a line of text apart on its bar."""
     ticks: list[float] = []
     places: list[float] = []
     for tick in _round_values(near_m, far_m):
@@ -138,7 +138,7 @@ def _compose(panels: tuple[U8, U8], captions: tuple[str, str], title: str, near_
 
 
 def _draw_legend(canvas: U8, x: int, top: int, height: int, near_m: float, far_m: float) -> None:
-    """A bar, near at the top, linear in 1 / Z as the colours are."""
+    """A bar, near at the top, linear in 1 / Z as the colors are."""
     nearness = np.linspace(255, 0, height).astype(np.uint8)[:, None]
     canvas[top : top + height, x : x + _BAR_WIDTH] = cv2.applyColorMap(nearness, cv2.COLORMAP_TURBO)
     for tick in legend_ticks(near_m, far_m, height):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of how well rows agree: both rectified pictures side by side, lines across both."""
+"""An image of how well rows agree: both rectified images side by side, lines across both."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.plots.drawing import Color, canvas, draw_text
 
-__all__ = ["rows_picture"]
+__all__ = ["rows_plot"]
 
-_WIDTH = 640  # of each picture, at least
+_WIDTH = 640  # of each image, at least
 _LINES = 14
 _MARGIN, _TITLE = 12, 40
 _COLORS: tuple[Color, ...] = ((90, 200, 250), (230, 190, 90), (130, 220, 130))
 
 
-def rows_picture(left: U8, right: U8, title: str) -> U8:
-    """Lines at equal distances that run on from the left into the right picture: the same things lie on them.
+def rows_plot(left: U8, right: U8, title: str) -> U8:
+    """Lines at equal distances that run on from the left into the right image: the same things lie on them.
 
     Args:
         left, right: uint8 (H, W) or (H, W, 3) BGR, rectified.
@@ -29,12 +29,12 @@ def rows_picture(left: U8, right: U8, title: str) -> U8:
         uint8 (H', W', 3), BGR.
     """
     scale = max(1.0, _WIDTH / left.shape[1])
-    pictures = [cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for each in (left, right)]
-    height, width = pictures[0].shape[:2]
+    images = [cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for each in (left, right)]
+    height, width = images[0].shape[:2]
     whole = canvas(2 * width + 3 * _MARGIN, height + _TITLE + _MARGIN)
-    for number, picture in enumerate(pictures):
+    for number, image in enumerate(images):
         x = _MARGIN + number * (width + _MARGIN)
-        colored = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+        colored = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
         whole[_TITLE : _TITLE + height, x : x + width] = colored
     for number, y in enumerate(np.linspace(0, height, _LINES + 2)[1:-1].round().astype(int)):
         color = _COLORS[number % len(_COLORS)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tells from the pictures whether left and right were swapped: then matches lie behind infinity."""
+"""Tells from the images whether left and right were swapped: then matches lie behind infinity."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import U8
 
-__all__ = ["EyeOrder"]
+__all__ = ["CameraSwapDetector"]
 
 _WIDTH = 320  # px, of the small images that are matched
 _DISPARITIES = 48  # px of those: nearly a seventh of the width
@@ -23,7 +23,7 @@ _CLEARLY = 2.0  # ratio of the shares; true pairs of a dozen scenes gave 3.6 to 
 _AGAIN = 10  # frames until a pair is looked at again while nothing could be concluded
 
 
-class EyeOrder:
+class CameraSwapDetector:
     """Matches a small copy of a rectified pair both ways; the wrong way finds little that is smooth.
 
     Args:
@@ -45,7 +45,7 @@ class EyeOrder:
                 which shows little where the two rectifications differ much.
 
         Raises:
-            ImageError: the eyes are swapped.
+            ImageError: the cameras are swapped.
         """
         if self._known or left.shape != right.shape:
             return
@@ -62,14 +62,14 @@ class EyeOrder:
         if swapped > _ENOUGH and swapped > _CLEARLY * as_given:
             self._frames = 0  # the next pair is looked at again
             raise ImageError(
-                f"eyes look swapped: {100 * swapped:.0f} % of the pixels match with left and right exchanged, "
+                f"cameras look swapped: {100 * swapped:.0f} % of the pixels match with left and right exchanged, "
                 f"{100 * as_given:.0f} % as given: exchange the image topics of left and right"
             )
         self._known = as_given > _ENOUGH and as_given > _CLEARLY * swapped
 
 
 def _smooth_share(left: U8, right: U8, doffs_px: float) -> float:
-    """Share of the pixels that match in front of the cameras with a disparity like their neighbour's, 0..1."""
+    """Share of the pixels that match in front of the cameras with a disparity like their neighbor's, 0..1."""
     scale = min(1.0, _WIDTH / left.shape[1])
     left, right = (cv2.resize(i, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for i in (left, right))
     first = int(np.floor(doffs_px * scale))
@@ -81,7 +81,7 @@ def _smooth_share(left: U8, right: U8, doffs_px: float) -> float:
     stereo = cv2.StereoBM.create(count, _WINDOW)
     stereo.setMinDisparity(first)
     stereo.setUniquenessRatio(15)
-    fixed = stereo.compute(left, right)[_WINDOW // 2 : -(_WINDOW // 2), begin:end]
-    valid = fixed >= 16 * first
-    smooth = valid[:, 1:] & valid[:, :-1] & (np.abs(fixed[:, 1:] - fixed[:, :-1]) <= 16)
+    disparity_x16 = stereo.compute(left, right)[_WINDOW // 2 : -(_WINDOW // 2), begin:end]
+    valid = disparity_x16 >= 16 * first
+    smooth = valid[:, 1:] & valid[:, :-1] & (np.abs(disparity_x16[:, 1:] - disparity_x16[:, :-1]) <= 16)
     return float(smooth.mean())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Triangulation of a rectified pair: disparity to depth, its uncertainty, and 16-bit millimetres."""
+"""Triangulation of a rectified pair: disparity to depth, its uncertainty, and 16-bit millimeters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.triangulation import Triangulation, pixel_depth
 from stereo_depth_ros.core.types import F32, U8, Reason
 
-__all__ = ["depth_from_disparity", "depth_sigma", "millimetres", "reject_behind"]
+__all__ = ["depth_from_disparity", "depth_sigma", "millimeters", "reject_behind"]
 
 
 def reject_behind(disparity_px: F32, reasons: U8, doffs_px: float) -> None:
@@ -35,7 +35,7 @@ def depth_from_disparity(disparity_px: F32, triangulation: Triangulation, out: F
         out: float32 (H, W) to write into.
 
     Returns:
-        float32 (H, W) in metres, NaN where the disparity is invalid or not above the offset.
+        float32 (H, W) in meters, NaN where the disparity is invalid or not above the offset.
     """
     depth_m = np.empty_like(disparity_px) if out is None else out
     f_baseline = np.float32(triangulation.f_px * triangulation.baseline_m)
@@ -44,16 +44,16 @@ def depth_from_disparity(disparity_px: F32, triangulation: Triangulation, out: F
 
 
 def depth_sigma(depth_m: F32, triangulation: Triangulation, disparity_sigma_px: float) -> F32:
-    """Standard deviation of the depth, sigma_Z = Z^2 / (f B) sigma_d, float32 (H, W) in metres, NaN where invalid."""
+    """Standard deviation of the depth, sigma_Z = Z^2 / (f B) sigma_d, float32 (H, W) in meters, NaN where invalid."""
     scale = np.float32(disparity_sigma_px / (triangulation.f_px * triangulation.baseline_m))
     sigma_m: F32 = depth_m * depth_m * scale
     return sigma_m
 
 
-def millimetres(depth_m: F32, out: npt.NDArray[np.uint16] | None = None) -> npt.NDArray[np.uint16]:
-    """The depth as REP 118's 16UC1: uint16 (H, W) millimetres, 0 where invalid or beyond 65.535 m."""
+def millimeters(depth_m: F32, out: npt.NDArray[np.uint16] | None = None) -> npt.NDArray[np.uint16]:
+    """The depth as REP 118's 16UC1: uint16 (H, W) millimeters, 0 where invalid or beyond 65.535 m."""
     depth_mm = np.empty(depth_m.shape, np.uint16) if out is None else out
-    run_bands(_millimetres, len(depth_m), depth_m, depth_mm)
+    run_bands(_millimeters, len(depth_m), depth_m, depth_mm)
     return depth_mm
 
 
@@ -77,7 +77,7 @@ def _depth(first: int, last: int, disparity_px: F32, doffs: np.float32, f_baseli
 
 
 @compiled(f"void(int64, int64, {_F32}, uint16[:, ::1])")
-def _millimetres(first: int, last: int, depth_m: F32, depth_mm: npt.NDArray[np.uint16]) -> None:
+def _millimeters(first: int, last: int, depth_m: F32, depth_mm: npt.NDArray[np.uint16]) -> None:
     for y in range(first, last):
         for x in range(depth_m.shape[1]):
             mm = depth_m[y, x] * np.float32(1000) + np.float32(0.5)

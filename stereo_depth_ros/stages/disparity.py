@@ -16,7 +16,7 @@ from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.rig import Rig
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.matching import matcher_from_config
-from stereo_depth_ros.stages.camera_swap import EyeOrder
+from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 from stereo_depth_ros.stages.depth import reject_behind
 from stereo_depth_ros.stages.rectification import Rectifier
 
@@ -38,7 +38,7 @@ class DisparityStage:
     def __init__(self, config: MatchingConfig, rig: Rig) -> None:
         self._matcher = matcher_from_config(config)
         self._doffs_px = rig.doffs_px
-        self._eye_order = EyeOrder(rig.doffs_px) if rig.metric else None
+        self._swap_detector = CameraSwapDetector(rig.doffs_px) if rig.metric else None
         rectifier = Rectifier(rig)
         sources = [_eroded(s, config.correlation_window_size) for s in (rectifier.left_source, rectifier.right_source)]
         self._sources = None if all(source.all() for source in sources) else sources
@@ -51,13 +51,14 @@ class DisparityStage:
 
         Args:
             left, right: uint8 (H, W).
-            exchange: rectifies the raw images the other way round, where they are known; see :class:`EyeOrder`.
+            exchange: rectifies the raw images the other way round, where they are known; see
+                :class:`CameraSwapDetector`.
 
         Raises:
-            ImageError: sizes that differ, images too small for the search, or eyes that are swapped.
+            ImageError: sizes that differ, images too small for the search, or cameras that are swapped.
         """
-        if self._eye_order is not None:
-            self._eye_order.check(left, right, exchange)
+        if self._swap_detector is not None:
+            self._swap_detector.check(left, right, exchange)
         result = self._matcher.match(left, right)
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)
         if self._sources is not None:

@@ -11,7 +11,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.matching.features.matcher import FeatureMatcher, FeatureMatches
-from stereo_depth_ros.stages.camera_swap import EyeOrder
+from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["FeatureStage"]
@@ -31,7 +31,7 @@ class FeatureStage:
     def __init__(self, config: MatchingConfig, rig: StereoRig) -> None:
         self._matcher = FeatureMatcher(config)
         self._doffs_px = rig.doffs_px
-        self._eye_order = EyeOrder(rig.doffs_px)
+        self._swap_detector = CameraSwapDetector(rig.doffs_px)
         rectifier = Rectifier(rig)
         window = np.ones((config.correlation_window_size, config.correlation_window_size), np.uint8)
         left_seen, right_seen = (s.astype(np.uint8) for s in (rectifier.left_source, rectifier.right_source))
@@ -45,8 +45,8 @@ class FeatureStage:
             left, right: uint8 (H, W), rectified.
 
         Raises:
-            ImageError: sizes that differ, images too small for the search, or eyes that are swapped.
+            ImageError: sizes that differ, images too small for the search, or cameras that are swapped.
         """
-        self._eye_order.check(left, right)
+        self._swap_detector.check(left, right)
         matches = self._matcher.find(left, right).inside(self._left_seen, self._right_seen)
         return matches.take(matches.disparity_px > self._doffs_px)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Organised point clouds: from disparities straight into the bytes of a PointCloud2."""
+"""Organized point clouds: from disparities straight into the bytes of a PointCloud2."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _WORDS = "float32[:, :, ::1]"
 
 @dataclass(frozen=True)
 class CloudLayout:
-    """Where a point's numbers stand; x, y, z are float32 at bytes 0, 4 and 8, metres, NaN where invalid.
+    """Where a point's numbers stand; x, y, z are float32 at bytes 0, 4 and 8, meters, NaN where invalid.
 
     Attributes:
         point_step: bytes a point.
-        rgb_offset: byte at which the packed colour stands (as float32, bytes blue, green, red, 0), or None.
+        rgb_offset: byte at which the packed color stands (as float32, bytes blue, green, red, 0), or None.
     """
 
     point_step: int
@@ -34,7 +34,7 @@ class CloudLayout:
 
     @classmethod
     def of(cls, config: CloudConfig) -> CloudLayout:
-        """The layouts of stereo_image_proc: 32 bytes with colour, 16 without; unpadded 16 and 12."""
+        """The layouts of stereo_image_proc: 32 bytes with color, 16 without; unpadded 16 and 12."""
         if config.avoid_point_cloud_padding:
             return cls(16, 12) if config.use_color else cls(12, None)
         return cls(32, 16) if config.use_color else cls(16, None)
@@ -48,14 +48,14 @@ def pack_points(
     color: U8 | None = None,
     color_encoding: str = "mono8",
 ) -> None:
-    """Write the points of a disparity map, row by row, into the payload of an organised cloud.
+    """Write the points of a disparity map, row by row, into the payload of an organized cloud.
 
     Args:
         disparity_px: float32 (H, W), NaN where invalid.
         triangulation: the geometry of the rig.
         layout: the bytes of a point.
         points: uint8 (H * W * point_step,), the payload; padding bytes are left as they are.
-        color: uint8 (H, W) or (H, W, 3), the left rectified image; needed where the layout has a colour.
+        color: uint8 (H, W) or (H, W, 3), the left rectified image; needed where the layout has a color.
         color_encoding: "mono8", "rgb8" or "bgr8".
 
     Raises:

@@ -23,7 +23,7 @@ class Rectifier:
     """Undistorts and rotates both images into the rectified cameras of a rig, by linear interpolation.
 
     The maps are built once, in 1/32 px steps. Pixels without a source are 0; :attr:`left_source` and
-    :attr:`right_source` tell where those are. Images of an eye that needs no rectification pass through uncopied.
+    :attr:`right_source` tell where those are. Images of a camera that needs no rectification pass through uncopied.
 
     Args:
         rig: raw cameras (K, D) and rectified ones (R, P).
@@ -35,9 +35,9 @@ class Rectifier:
         self._right_maps = _build_maps(rig.right)
 
     def rectify(self, pair: StereoPair) -> RectifiedPair:
-        """Both eyes in grey, and the left one in its own colours.
+        """Both cameras in gray, and the left one in its own colors.
 
-        Grey is taken before rectification: each grey image has the bytes that a rectifier of grey images gives.
+        Gray is taken before rectification: each gray image has the bytes that a rectifier of gray images gives.
 
         Args:
             pair: raw images of the size of the rig.
@@ -96,7 +96,7 @@ def _build_maps(camera: CameraModel) -> tuple[Any, Any] | None:
     size = (camera.width, camera.height)
     if camera.distortion_model == "equidistant":
         return tuple(cv2.fisheye.initUndistortRectifyMap(camera.K, camera.D, camera.R, K_rectified, size, cv2.CV_16SC2))
-    moved = np.abs([camera.R - np.eye(3), camera.K - K_rectified]).max() > 1e-9
+    moved = np.abs([camera.R - np.identity(3), camera.K - K_rectified]).max() > 1e-9
     if not moved and not camera.D.any():
         return None
     D = camera.D if camera.D.size else np.zeros(5)

@@ -44,10 +44,10 @@ def write_synthetic_bag(path: Path, sequence: SyntheticSequence, *, overwrite: b
 
 def _write_frame(bag: BagWriter, types: RosbagsTypes, frame: SyntheticFrame, rig: StereoRig) -> None:
     stamp_ns = frame.pair.left.stamp_ns
-    eyes = (("/left", frame.pair.left, rig.left), ("/right", frame.pair.right, rig.right))
-    for name, eye, camera in eyes:
+    sides = (("/left", frame.pair.left, rig.left), ("/right", frame.pair.right, rig.right))
+    for name, side, camera in sides:
         bag.write(f"{name}/camera_info", camera_info_message(types, camera, stamp_ns), stamp_ns)
-        image = image_message(types, eye.pixels, eye.encoding, stamp_ns, eye.frame_id)
+        image = image_message(types, side.pixels, side.encoding, stamp_ns, side.frame_id)
         bag.write(f"{name}/image_raw", image, stamp_ns)
     disparity_px = np.round(frame.truth_disparity_px / np.float32(TRUTH_STEP_PX)) * np.float32(TRUTH_STEP_PX)
     truth = disparity_message(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ray casting: which surface a pixel sees, at what depth, with what grey level.
+"""Ray casting: which surface a pixel sees, at what depth, with what gray level.
 
 The kernels use only +, -, *, /, square root, floor and integer arithmetic, each correctly rounded, without fast-math:
 equal inputs give equal bytes on every machine that follows IEEE 754.
@@ -129,7 +129,7 @@ def _turned(rotation: F64, x: float, y: float) -> Vector:
 
 @compiled()
 def _level(primitives: F64, o: Vector, d: Vector, pixel_rad: float, seed: int) -> float:
-    """Grey level that arrives along a ray whose parameter t is depth along the optical axis."""
+    """Gray level that arrives along a ray whose parameter t is depth along the optical axis."""
     t, index = _nearest(primitives, o, d)
     if index < 0:
         return _BACKGROUND
@@ -164,12 +164,12 @@ def render(
     Args:
         first, last: rows to fill.
         primitives: float64 (N, 17), :meth:`Scene.packed`.
-        origin: float64 (3,), the camera centre in the world, metres.
+        origin: float64 (3,), the camera center in the world, meters.
         rotation: float64 (3, 3), camera to world.
         rays: float64 (2H, 2W, 2), :func:`pixel_rays`.
         pixel_rad: angle of one pixel; textures carry no detail that it cannot resolve.
-        gain: factor on all grey levels.
-        noise: bound of the sensor noise (triangular distribution), grey levels.
+        gain: factor on all gray levels.
+        noise: bound of the sensor noise (triangular distribution), gray levels.
         texture_seed, noise_seed: integers.
         image: uint8 (H, W), filled.
     """
@@ -202,11 +202,11 @@ def depth_and_shadow(
     Args:
         first, last: rows to fill.
         primitives: float64 (N, 17), :meth:`Scene.packed`.
-        origin: float64 (3,), the camera centre in the world, metres.
+        origin: float64 (3,), the camera center in the world, meters.
         rotation: float64 (3, 3), (rectified) camera to world.
-        P: float64 (3, 4), its projection matrix; the rays go through pixel centres.
-        other: float64 (3,), centre of the other camera in the world, metres.
-        depth_m: float64 (H, W), filled with depth along the optical axis, metres; NaN where there is no surface.
+        P: float64 (3, 4), its projection matrix; the rays go through pixel centers.
+        other: float64 (3,), center of the other camera in the world, meters.
+        depth_m: float64 (H, W), filled with depth along the optical axis, meters; NaN where there is no surface.
         shadow: bool (H, W), filled with True where a surface stands between the point and the other camera.
     """
     o, c = (origin[0], origin[1], origin[2]), (other[0], other[1], other[2])
@@ -231,7 +231,7 @@ def pixel_rays(first: int, last: int, K: F64, D: F64, rays: F64) -> None:
         K: float64 (3, 3) camera matrix, pixels.
         D: float64 (5,), k1 k2 p1 p2 k3.
         rays: float64 (2H, 2W, 2), filled with x / z and y / z of the 2 x 2 rays of each pixel, which lie a quarter of a
-            pixel from its centre.
+            pixel from its center.
     """
     n = SUPERSAMPLING
     for row in range(first, last):

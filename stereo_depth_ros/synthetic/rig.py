@@ -27,7 +27,7 @@ _K_RIGHT = ((419.6, 0.0, 316.7), (0.0, 413.9, 243.5), (0.0, 0.0, 1.0))
 _D_LEFT = (-0.21, 0.06, 0.0006, -0.0004, -0.005)
 _D_RIGHT = (-0.19, 0.05, -0.0005, 0.0007, -0.004)
 _F_PX, _FY_PX, _CY_PX = 430.0, 417.1, 238.5
-# A verged pair that keeps both pictures centred sees negative disparities beyond the point where the axes cross. These
+# A verged pair that keeps both images centered sees negative disparities beyond the point where the axes cross. These
 # two put infinity at +9.5 px, so that the whole room lies in the usual search range of 0 to 63.
 _CX_LEFT_PX, _CX_RIGHT_PX = 316.25, 306.75
 
@@ -62,7 +62,7 @@ def synthetic_rig(width: int, height: int) -> StereoRig:
     R_right = product(R_left, R_RIGHT_LEFT.T)
     baseline_m = round(math.sqrt(float(np.sum(CENTER_LEFT_RIGHT_M**2))), 12)
     scale = np.array([[width / _WIDTH], [height / _HEIGHT], [1.0]])
-    half_pixel = 0.5 * (scale - 1.0)  # the outer edges of the image stay where they are, not the pixel centres
+    half_pixel = 0.5 * (scale - 1.0)  # the outer edges of the image stay where they are, not the pixel centers
 
     def scaled(matrix: npt.ArrayLike) -> F64:
         result: F64 = np.asarray(matrix, dtype=np.float64) * scale

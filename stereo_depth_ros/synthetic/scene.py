@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The synthetic world: rectangles, spheres and cylinders with solid textures, in metres.
+"""The synthetic world: rectangles, spheres and cylinders with solid textures, in meters.
 
-World axes are those of an optical frame: x right, y down, z forward. A solid texture gives every point of space a grey
-level, so that a surface needs no texture coordinates and both eyes see the same level at the same point.
+World axes are those of an optical frame: x right, y down, z forward. A solid texture gives every point of space a gray
+level, so that a surface needs no texture coordinates and both cameras see the same level at the same point.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ RECTANGLE, SPHERE, CYLINDER = 0.0, 1.0, 2.0
 
 @dataclass(frozen=True)
 class Texture:
-    """Grey levels around ``mean``: noise, or a grid that repeats every ``period_m`` metres of world x and y.
+    """Gray levels around ``mean``: noise, or a grid that repeats every ``period_m`` meters of world x and y.
 
     Attributes:
-        mean: mean grey level, 0..255.
-        contrast: scale of the variation, grey levels.
-        period_m: period of the grid, metres; 0 is noise that repeats nowhere.
+        mean: mean gray level, 0..255.
+        contrast: scale of the variation, gray levels.
+        period_m: period of the grid, meters; 0 is noise that repeats nowhere.
     """
 
     mean: float = 120.0

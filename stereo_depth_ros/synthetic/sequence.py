@@ -32,7 +32,7 @@ __all__ = ["SyntheticFrame", "SyntheticSequence"]
 START_NS = 1_700_000_000_000_000_000
 
 _GAINS = (1.0, 0.97)  # two cameras are never equally bright
-_NOISE_LEVELS = 1.5  # bound of the triangular noise: standard deviation 0.6 grey levels
+_NOISE_LEVELS = 1.5  # bound of the triangular noise: standard deviation 0.6 gray levels
 _SEED_LIMIT = 2**31
 
 
@@ -44,7 +44,7 @@ class SyntheticFrame:
         pair: the raw mono8 frames, both with the same stamp.
         truth_disparity_px: float32 (H, W), x_left - x_right of the rectified images, f B / Z + (cx_left - cx_right);
             NaN where the ray meets no surface.
-        truth_depth_m: float32 (H, W), Z in the rectified left frame, metres; NaN where the ray meets no surface.
+        truth_depth_m: float32 (H, W), Z in the rectified left frame, meters; NaN where the ray meets no surface.
         occluded: bool (H, W), True where there is a surface and the right camera does not see it: something stands in
             between, or the point is outside the right image, raw or rectified.
     """
@@ -115,7 +115,7 @@ class SyntheticSequence(Sequence[SyntheticFrame]):
         return START_NS + round(index * 1_000_000_000 / self.rate_hz)
 
     def pose(self, index: int) -> tuple[F64, F64]:
-        """Where the raw left camera is: R_world_left, float64 (3, 3), and its centre in the world, float64 (3,) m."""
+        """Where the raw left camera is: R_world_left, float64 (3, 3), and its center in the world, float64 (3,) m."""
         t = index / self.rate_hz
         R_left_world = turn(0.07 * math.sin(0.6 * t), -0.01, 0.004)
         center = [0.25 * math.sin(0.9 * t), 0.03 * math.sin(1.7 * t), 0.25 - 0.25 * math.cos(0.8 * t)]
@@ -133,12 +133,12 @@ class SyntheticSequence(Sequence[SyntheticFrame]):
             Frame(left, stamp_ns, self.rig.left.frame_id), Frame(right, stamp_ns, self.rig.right.frame_id)
         )
 
-    def _image(self, eye: int, index: int, rotation: F64, center: F64) -> U8:
+    def _image(self, side: int, index: int, rotation: F64, center: F64) -> U8:
         image = np.empty((self.rig.height, self.rig.width), np.uint8)
         pixel_rad = 1.0 / float(self.rig.left.K[0, 0])
-        noise_seed = (self.seed << 32) + 2 * index + eye
-        what = (self._primitives, center, rotation, self._rays[eye])
-        how = (pixel_rad, _GAINS[eye], _NOISE_LEVELS, self.scene.seed, noise_seed)
+        noise_seed = (self.seed << 32) + 2 * index + side
+        what = (self._primitives, center, rotation, self._rays[side])
+        how = (pixel_rad, _GAINS[side], _NOISE_LEVELS, self.scene.seed, noise_seed)
         run_bands(render, len(image), *what, *how, image)
         return image
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the disparities of matched features: order of the eyes, search range, depths."""
+"""Checks of the disparities of matched features: order of the cameras, search range, depths."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.diagnosis.checks.rows import MIN_MATCHES, PicturePairs, RowMatching, match_pictures, too_few
+from stereo_depth_ros.diagnosis.checks.rows import MIN_MATCHES, ImageArrayPairs, RowMatching, match_image_pairs, too_few
 from stereo_depth_ros.diagnosis.finding import Finding, Level
-from stereo_depth_ros.stages.camera_swap import EyeOrder
+from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 
-__all__ = ["check_depths", "check_eyes"]
+__all__ = ["check_camera_order", "check_depths"]
 
 BEHIND_PX = 1.0  # a disparity so far below infinity is none of noise
 MOSTLY = 0.5
@@ -24,34 +24,34 @@ SEARCH_MARGIN = 0.15  # of the disparities seen, for what comes nearer
 FREE_PX = 16  # as many more disparities, down to infinity, are searched without being asked for
 
 
-def check_eyes(
-    given: PicturePairs,
+def check_camera_order(
+    given: ImageArrayPairs,
     matching: RowMatching,
-    exchanged: Callable[[], PicturePairs],
+    exchanged: Callable[[], ImageArrayPairs],
     doffs_px: float,
     columns_fit: bool,
 ) -> Finding:
-    """Whether left is left: what is seen lies in front of the cameras, in the pictures as given.
+    """Whether left is left: what is seen lies in front of the cameras, in the images as given.
 
     Args:
-        given: rectified pictures, and ``matching`` their features.
-        exchanged: rectifies the pictures the other way round.
+        given: rectified images, and ``matching`` their features.
+        exchanged: rectifies the images the other way round.
         doffs_px: disparity of infinity, px.
         columns_fit: the camera infos say themselves that left is left.
     """
-    check, limit = "order of the eyes", f"up to {100 * MOSTLY:.0f} % behind infinity"
+    check, limit = "order of the cameras", f"up to {100 * MOSTLY:.0f} % behind infinity"
     behind = _share_behind(matching, doffs_px)
     value = f"{100 * behind:.1f} % of the features behind infinity"
     figures: dict[str, float | None] = {"share_behind": behind}
     if matching.fits and behind > MOSTLY:
         remedy = "exchange the image topics of left and right" + ("" if columns_fit else " and those of the infos")
-        return Finding(check, Level.ERROR, f"eyes swapped: {value}", limit, remedy, figures)
+        return Finding(check, Level.ERROR, f"cameras swapped: {value}", limit, remedy, figures)
     if not matching.fits:
-        other = match_pictures(exchanged())
+        other = match_image_pairs(exchanged())
         if other.fits and len(other) > len(matching) / 2:
             in_front = _share_behind(other, doffs_px) <= MOSTLY
             what = "image topics" if in_front else "camera infos"
-            value = f"eyes swapped: rows fit to {other.median_px:.2f} px with the pictures exchanged"
+            value = f"cameras swapped: rows fit to {other.median_px:.2f} px with the images exchanged"
             return Finding(check, Level.ERROR, value, limit, f"exchange the {what} of left and right", figures)
         try:
             _check_order(given, exchanged, doffs_px)
@@ -67,9 +67,9 @@ def _share_behind(matching: RowMatching, doffs_px: float) -> float:
     return float((matching.disparity_px < doffs_px - BEHIND_PX).mean()) if len(matching) else 0.0
 
 
-def _check_order(given: PicturePairs, exchanged: Callable[[], PicturePairs], doffs_px: float) -> None:
+def _check_order(given: ImageArrayPairs, exchanged: Callable[[], ImageArrayPairs], doffs_px: float) -> None:
     """As the nodes do, on the first pair."""
-    EyeOrder(doffs_px).check(*given[0], lambda: exchanged()[0])
+    CameraSwapDetector(doffs_px).check(*given[0], lambda: exchanged()[0])
 
 
 def check_depths(matching: RowMatching, rig: StereoRig, real_baseline: bool) -> Iterable[Finding]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the pictures as they came: empty, black, saturated, or the same one twice."""
+"""Checks of the images as they came: empty, black, saturated, or the same one twice."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ import numpy as np
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 
-__all__ = ["check_exposure", "check_two_eyes"]
+__all__ = ["check_exposure", "check_two_cameras"]
 
-BLACK, WHITE = 16, 250  # grey values; noise and stray light stay below, a sensor at its end comes above
+BLACK, WHITE = 16, 250  # gray values; noise and stray light stay below, a sensor at its end comes above
 MAX_WHITE, ALL_WHITE = 0.2, 0.9  # share of pixels
-MIN_CONTRAST = 3.0  # standard deviation of grey values; the noise of a sensor alone is about that
+MIN_CONTRAST = 3.0  # standard deviation of gray values; the noise of a sensor alone is about that
 
 
-def check_exposure(pictures: Sequence[U8], eye: str) -> Finding:
-    """Whether the pictures of an eye show something; medians over them.
+def check_exposure(images: Sequence[U8], side: str) -> Finding:
+    """Whether the images of a camera show something; medians over them.
 
     Args:
-        pictures: uint8 (H, W), grey, at least one.
+        images: uint8 (H, W), gray, at least one.
     """
-    bright = float(np.median([np.percentile(picture, 99) for picture in pictures]))
-    white = float(np.median([(picture >= WHITE).mean() for picture in pictures]))
-    contrast = float(np.median([picture.std() for picture in pictures]))
-    mean = float(np.median([picture.mean() for picture in pictures]))
-    value = f"mean grey {mean:.0f}, contrast {contrast:.1f}, {100 * white:.1f} % saturated"
+    bright = float(np.median([np.percentile(image, 99) for image in images]))
+    white = float(np.median([(image >= WHITE).mean() for image in images]))
+    contrast = float(np.median([image.std() for image in images]))
+    mean = float(np.median([image.mean() for image in images]))
+    value = f"mean gray {mean:.0f}, contrast {contrast:.1f}, {100 * white:.1f} % saturated"
     limit = f"contrast {MIN_CONTRAST:g}, {100 * MAX_WHITE:.0f} % saturated"
     level, remedy = Level.OK, ""
     if bright < BLACK:
@@ -40,12 +40,12 @@ def check_exposure(pictures: Sequence[U8], eye: str) -> Finding:
     elif white > MAX_WHITE:
         level, remedy = Level.WARNING, "saturated pixels do not match: expose shorter"
     figures = {"mean": mean, "contrast": contrast, "saturated": white}
-    return Finding(f"{eye} picture", level, value, limit, remedy, figures)
+    return Finding(f"{side} image", level, value, limit, remedy, figures)
 
 
-def check_two_eyes(left: Sequence[U8], right: Sequence[U8]) -> Finding:
-    """Whether the pictures of each pair have one size, and come from two cameras."""
-    check, limit = "two eyes", "two pictures of one size"
+def check_two_cameras(left: Sequence[U8], right: Sequence[U8]) -> Finding:
+    """Whether the images of each pair have one size, and come from two cameras."""
+    check, limit = "two cameras", "two images of one size"
     sizes = {(one.shape, other.shape) for one, other in zip(left, right, strict=True)}
     for one, other in sizes:
         if one != other:
@@ -53,6 +53,6 @@ def check_two_eyes(left: Sequence[U8], right: Sequence[U8]) -> Finding:
             return Finding(check, Level.ERROR, value, limit, "set both cameras to the same resolution")
     same = sum(np.array_equal(one, other) for one, other in zip(left, right, strict=True))
     if same:
-        value, remedy = f"one picture twice in {same} of {len(left)} pairs", "both topics show one camera"
+        value, remedy = f"one image twice in {same} of {len(left)} pairs", "both topics show one camera"
         return Finding(check, Level.ERROR, value, limit, f"{remedy}: check drivers and remappings")
     return Finding(check, Level.OK, f"{len(left)} different pairs", limit)

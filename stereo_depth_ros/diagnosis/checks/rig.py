@@ -17,16 +17,16 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import MAX_BASELINE_M, MIN_BASELINE_M, StereoRig
 from stereo_depth_ros.core.types import F64
-from stereo_depth_ros.diagnosis.checks.cameras import fits_picture
+from stereo_depth_ros.diagnosis.checks.cameras import fits_image
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 
-__all__ = ["check_frame", "check_frame_names", "check_image_size", "check_pair", "picture_rig"]
+__all__ = ["check_frame", "check_frame_names", "check_image_size", "check_pair", "rectification_rig"]
 
-WIDE_BASELINE_M = 1.5  # few rigs are wider, and a small one whose centimetres are read as metres is
-FULL_SIZE_MM = 20.0  # a baseline that is read as more metres than this was millimetres, else centimetres
+WIDE_BASELINE_M = 1.5  # few rigs are wider, and a small one whose centimeters are read as meters is
+FULL_SIZE_MM = 20.0  # a baseline that is read as more meters than this was millimeters, else centimeters
 _EXAMPLE_BASELINE_M = 0.1
 _LABELS = ("left camera", "right camera")  # what a rig without topics calls its cameras in errors
-_ANY_MATRIX = np.eye(3)
+_ANY_MATRIX = np.identity(3)
 _SIGN = "right P[0,3]"
 
 
@@ -78,15 +78,15 @@ def _baseline_parts(right: CameraModel) -> Iterator[tuple[str, tuple[CameraModel
     P = right.P[:, :3]
     left, fx = _plain(right, P), right.P[0, 0]
 
-    def eye(across: float, down: float = 0.0) -> CameraModel:
+    def side(across: float, down: float = 0.0) -> CameraModel:
         return replace(left, P=np.column_stack([P, [across, down, 0.0]]))
 
-    vertical = eye(-fx * _EXAMPLE_BASELINE_M, right.P[1, 3])
-    yield "right P[1,3]", (left, vertical), f"{right.P[1, 3]:g}", "0: eyes side by side"
-    sign = eye(right.P[0, 3] if right.P[0, 3] >= 0 else -fx * _EXAMPLE_BASELINE_M)
+    vertical = side(-fx * _EXAMPLE_BASELINE_M, right.P[1, 3])
+    yield "right P[1,3]", (left, vertical), f"{right.P[1, 3]:g}", "0: cameras side by side"
+    sign = side(right.P[0, 3] if right.P[0, 3] >= 0 else -fx * _EXAMPLE_BASELINE_M)
     yield _SIGN, (left, sign), f"{right.P[0, 3]:.4f}", "below 0"
     if right.P[0, 3]:
-        yield "baseline", (left, eye(-abs(right.P[0, 3]))), "", f"{MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m"
+        yield "baseline", (left, side(-abs(right.P[0, 3]))), "", f"{MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m"
 
 
 def _plain(camera: CameraModel, P: F64, baseline_m: float = 0.0) -> CameraModel:
@@ -100,7 +100,7 @@ def _unit_remedy(P: F64) -> str:
     """What the number was probably meant to be."""
     baseline_m, entry = abs(P[0, 3] / P[0, 0]), abs(P[0, 3])
     if baseline_m > MAX_BASELINE_M:
-        unit, factor = ("millimetres", 1e-3) if baseline_m >= FULL_SIZE_MM else ("centimetres", 1e-2)
+        unit, factor = ("millimeters", 1e-3) if baseline_m >= FULL_SIZE_MM else ("centimeters", 1e-2)
         if factor * baseline_m <= MAX_BASELINE_M:
             return (
                 f"written in {unit}: multiply P[0,3] of the right camera by {factor:g}, "
@@ -116,14 +116,14 @@ def _wide(P: F64, limit: str) -> Finding:
     value, figures = f"{baseline_m:.4f} m", {"baseline_m": baseline_m}
     if baseline_m <= WIDE_BASELINE_M:
         return Finding("baseline", Level.OK, value, limit, "", figures)
-    remedy = f"measure it: if it was written in centimetres, multiply P[0,3] by 0.01 ({0.01 * baseline_m:.4g} m)"
+    remedy = f"measure it: if it was written in centimeters, multiply P[0,3] by 0.01 ({0.01 * baseline_m:.4g} m)"
     return Finding("baseline", Level.WARNING, value, f"{limit}, usually below {WIDE_BASELINE_M:g} m", remedy, figures)
 
 
-def picture_rig(left: CameraModel, right: CameraModel, topics: tuple[str, str]) -> tuple[StereoRig | None, str]:
-    """The rig to rectify pictures with, and why it is none that depth can be made with; empty where it is.
+def rectification_rig(left: CameraModel, right: CameraModel, topics: tuple[str, str]) -> tuple[StereoRig | None, str]:
+    """The rig to rectify images with, and why it is none that depth can be made with; empty where it is.
 
-    The baseline moves no pixel: where only that is wrong the pictures can be looked at all the same.
+    The baseline moves no pixel: where only that is wrong the images can be looked at all the same.
     """
     try:
         return StereoRig(left, right, topics), ""
@@ -139,7 +139,7 @@ def picture_rig(left: CameraModel, right: CameraModel, topics: tuple[str, str]) 
 
 
 def check_image_size(
-    camera: CameraModel, sensor: tuple[int, int], width: int, height: int, eye: str, topic: str
+    camera: CameraModel, sensor: tuple[int, int], width: int, height: int, side: str, topic: str
 ) -> Finding:
     """Whether the images have the size that their camera info is for.
 
@@ -148,7 +148,7 @@ def check_image_size(
         sensor: width and height in the camera info, px, of the whole sensor.
         width, height: of the images, px.
     """
-    check, limit = f"{eye} image size", f"{camera.width}x{camera.height}"
+    check, limit = f"{side} image size", f"{camera.width}x{camera.height}"
     try:
         _rig_of(camera, camera).check_image(width, height, topic)
     except CalibrationError as error:
@@ -156,12 +156,12 @@ def check_image_size(
     return Finding(check, Level.OK, f"{width}x{height}", limit)
 
 
-def check_frame(left: CameraModel, right: CameraModel, eye: str, frame_id: str, topic: str) -> Finding:
-    """Whether an image carries the frame of its own eye, as its camera info has it."""
-    own = (left if eye == "left" else right).frame_id
-    check, limit = f"{eye} frame_id", own
+def check_frame(left: CameraModel, right: CameraModel, side: str, frame_id: str, topic: str) -> Finding:
+    """Whether an image carries the frame of its own camera, as its camera info has it."""
+    own = (left if side == "left" else right).frame_id
+    check, limit = f"{side} frame_id", own
     try:
-        _rig_of(left, right).check_eye(eye, frame_id, topic)
+        _rig_of(left, right).check_side(side, frame_id, topic)
     except CalibrationError as error:
         return Finding.refused(check, error, topic, limit)
     if not frame_id:
@@ -171,7 +171,7 @@ def check_frame(left: CameraModel, right: CameraModel, eye: str, frame_id: str, 
 
 
 def check_frame_names(left: CameraModel, right: CameraModel) -> list[Finding]:
-    """A warning where the camera infos have names that speak of the other eye."""
+    """A warning where the camera infos have names that speak of the other camera."""
     if "right" not in left.frame_id.lower() or "left" not in right.frame_id.lower():
         return []
     value, remedy = f"{left.frame_id}, {right.frame_id}", "exchange the frame_ids, or the camera infos"
@@ -182,8 +182,8 @@ def _size_remedy(camera: CameraModel, sensor: tuple[int, int], width: int, heigh
     """The remedy where the size of the images says what is wrong with their camera info; empty elsewhere."""
     if (width, height) == sensor:
         return "the images are of the whole sensor: set binning and roi of the camera info to 0"
-    if fits_picture(camera, width, height):
-        return f"K is for pictures of {width}x{height}: set width and height of the camera info to that"
+    if fits_image(camera, width, height):
+        return f"K is for images of {width}x{height}: set width and height of the camera info to that"
     across, down = sensor[0] / width, sensor[1] / height
     text = f"the images are {1 / across:.4g} times the size that was calibrated"
     if across == down and across in (2, 3, 4):

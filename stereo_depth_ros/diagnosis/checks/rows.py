@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the rows of rectified pictures by features that are matched in them."""
+"""Checks of the rows of rectified images by features that are matched in them."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from stereo_depth_ros.geometry.correspondences import match_features
 
 __all__ = [
     "GOOD_ROWS_PX",
-    "PicturePairs",
+    "ImageArrayPairs",
     "RowMatching",
     "check_raw_rows",
     "check_rows",
-    "match_pictures",
+    "match_image_pairs",
     "too_few",
 ]
 
-PicturePairs: TypeAlias = Sequence[tuple[U8, U8]]
+ImageArrayPairs: TypeAlias = Sequence[tuple[U8, U8]]
 
-MAX_FEATURES = 2000  # of a picture
-MIN_MATCHES = 50  # of all pairs together; fewer say nothing of the whole picture
-# The right pictures of three scenes (a room, EuRoC, KITTI) shifted by 0.5, 1, 1.5 and 2 px cost sgm up to 2, 22, 43 and
+MAX_FEATURES = 2000  # of an image
+MIN_MATCHES = 50  # of all pairs together; fewer say nothing of the whole image
+# The right images of three scenes (a room, EuRoC, KITTI) shifted by 0.5, 1, 1.5 and 2 px cost sgm up to 2, 22, 43 and
 # 66 % of its disparities, and gave 4 to 7, 9 to 27, 20 to 40 and 25 to 61 % that are wrong by more than 1 px.
 GOOD_ROWS_PX, USABLE_ROWS_PX = 0.5, 1.0
-GOOD_RMS_PX, USABLE_RMS_PX = 1.0, 2.0  # twice that, for parts of the picture
-MAX_REST = 0.7  # of the rms, what a plane may leave when it explains half of the squares
+GOOD_RMS_PX, USABLE_RMS_PX = 1.0, 2.0  # twice that, for parts of the image
+MAX_RESIDUAL = 0.7  # of the rms, what a plane may leave when it explains half of the squares
 NEAR_ROWS_PX = 3.0  # up to here features are looked for in their own row
 
 
@@ -82,15 +82,15 @@ class RowMatching:
         return len(self) >= MIN_MATCHES and self.median_px <= NEAR_ROWS_PX
 
 
-def match_pictures(pictures: PicturePairs, done: Callable[[], object] = lambda: None) -> RowMatching:
+def match_image_pairs(images: ImageArrayPairs, done: Callable[[], object] = lambda: None) -> RowMatching:
     """Features of rectified pairs, found in nearly their own row; where few are there, found anywhere.
 
     Args:
-        pictures: uint8 (H, W), grey, rectified.
+        images: uint8 (H, W), gray, rectified.
         done: called after each pair.
     """
     found = []
-    for left, right in pictures:
+    for left, right in images:
         found.append(_match_pair(left, right))
         done()
     return _without_outliers(found)
@@ -115,10 +115,10 @@ def _without_outliers(found: Sequence[tuple[F64, F64]]) -> RowMatching:
     return RowMatching(left_px[kept], right_px[kept], len(found))
 
 
-def check_raw_rows(pictures: PicturePairs) -> Finding | None:
+def check_raw_rows(images: ImageArrayPairs) -> Finding | None:
     """How far apart the rows are before rectification; never a fault by itself, None where features are too few."""
     matching = _without_outliers(
-        [(m.left_px, m.right_px) for m in (match_features(*pair, MAX_FEATURES) for pair in pictures)]
+        [(m.left_px, m.right_px) for m in (match_features(*pair, MAX_FEATURES) for pair in images)]
     )
     if len(matching) < MIN_MATCHES:
         return None
@@ -127,12 +127,12 @@ def check_raw_rows(pictures: PicturePairs) -> Finding | None:
 
 
 def check_rows(matching: RowMatching, raw: Finding | None, width: int, height: int, f_px: float | None) -> Finding:
-    """How well the rows of rectified pictures agree, and in which way they do not.
+    """How well the rows of rectified images agree, and in which way they do not.
 
     Args:
-        matching: of the rectified pictures.
-        raw: what :func:`check_raw_rows` says of the same pictures before.
-        width, height: of the pictures, px.
+        matching: of the rectified images.
+        raw: what :func:`check_raw_rows` says of the same images before.
+        width, height: of the images, px.
         f_px: rectified focal length, px; None where it is not known.
     """
     if len(matching) < MIN_MATCHES:
@@ -159,7 +159,7 @@ def _figures(matching: RowMatching) -> dict[str, float | None]:
 def too_few(check: str, matching: RowMatching) -> Finding:
     """A check that is left out because there are not enough features."""
     value = f"{len(matching)} matched features in {matching.pairs} pairs"
-    remedy = "let the cameras see something with texture, at a few metres, sharp"
+    remedy = "let the cameras see something with texture, at a few meters, sharp"
     figures: dict[str, float | None] = {"matches": float(len(matching))}
     return Finding(check, Level.LEFT_OUT, value, f"{MIN_MATCHES} features", remedy, figures)
 
@@ -167,9 +167,9 @@ def too_few(check: str, matching: RowMatching) -> Finding:
 def _row_remedy(matching: RowMatching, raw: Finding | None) -> str:
     before = raw.figures.get("median_px") if raw is not None else None
     if before is not None and before <= GOOD_ROWS_PX:
-        return "the rows agreed before: the pictures are rectified already, or the calibration is of other cameras"
+        return "the rows agreed before: the images are rectified already, or the calibration is of other cameras"
     if before is not None and before < matching.median_px:
-        return "the rows agreed better before: the calibration is of other cameras, or of the other eye"
+        return "the rows agreed better before: the calibration is of other cameras, or of the other camera"
     return "calibrate both cameras together again"
 
 
@@ -177,7 +177,7 @@ def _plane(matching: RowMatching, width: int, height: int) -> tuple[F64, float]:
     """The plane that is nearest to the row errors, and the rms of the rest, px.
 
     Returns:
-        float64 (3,), px: in the middle of the picture, more from there to the right edge, more to the lower edge.
+        float64 (3,), px: in the middle of the image, more from there to the right edge, more to the lower edge.
     """
     x, y = matching.left_px.T
     basis = np.stack([np.ones_like(x), 2 * x / width - 1, 2 * y / height - 1], axis=1)
@@ -186,9 +186,9 @@ def _plane(matching: RowMatching, width: int, height: int) -> tuple[F64, float]:
 
 
 def _pattern(matching: RowMatching, width: int, height: int, f_px: float | None) -> str:
-    """One sentence on how the row errors lie in the picture: which part of a plane over it is largest."""
-    parts, rest_px = _plane(matching, width, height)
-    if rest_px > MAX_REST * matching.rms_px:
+    """One sentence on how the row errors lie in the image: which part of a plane over it is largest."""
+    parts, residual_px = _plane(matching, width, height)
+    if residual_px > MAX_RESIDUAL * matching.rms_px:
         return "the row errors have no simple pattern, as with a lens that is not the calibrated one"
     shift, across, down = (float(part) for part in parts)
     largest = max(abs(part) for part in parts)

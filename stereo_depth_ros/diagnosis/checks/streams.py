@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the stamps of both eyes: pairs, offset, rate, drops."""
+"""Checks of the stamps of both cameras: pairs, offset, rate, drops."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ __all__ = ["NEAR", "check_streams"]
 
 # Stamps within this time may be one exposure: half the period of 50 Hz.
 NEAR = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=0.01)
-MIN_PAIRED = 0.9  # share of the images of the eye that has fewer
-MAX_OFFSET_MS = 1.0  # a turn of 1 rad/s moves the picture of a lens of 500 px by half a pixel in this time
+MIN_PAIRED = 0.9  # share of the images of the camera that has fewer
+MAX_OFFSET_MS = 1.0  # a turn of 1 rad/s moves the image of a lens of 500 px by half a pixel in this time
 MAX_DROPPED = 0.01
 MAX_RATE_RATIO = 1.05
 
 
 def check_streams(left_ns: Sequence[int], right_ns: Sequence[int]) -> list[Finding]:
-    """What the header stamps of both eyes say.
+    """What the header stamps of both cameras say.
 
     Args:
         left_ns, right_ns: of all images, in the order in which they came, integer nanoseconds.
     """
     if not len(left_ns) or not len(right_ns):
         return []
-    findings = [_check_order(eye, stamps) for eye, stamps in (("left", left_ns), ("right", right_ns))]
+    findings = [_check_order(side, stamps) for side, stamps in (("left", left_ns), ("right", right_ns))]
     exact = _pairs(left_ns, right_ns, PairingConfig())
     near = _pairs(left_ns, right_ns, NEAR)
     findings.append(_check_pairs(len(exact), near, min(len(left_ns), len(right_ns))))
@@ -40,7 +40,7 @@ def check_streams(left_ns: Sequence[int], right_ns: Sequence[int]) -> list[Findi
     rates = [_rate_hz(stamps) for stamps in (left_ns, right_ns)]
     if rates[0] and rates[1]:
         findings.append(_check_rates(rates[0], rates[1]))
-        findings += [_check_drops(eye, stamps) for eye, stamps in (("left", left_ns), ("right", right_ns))]
+        findings += [_check_drops(side, stamps) for side, stamps in (("left", left_ns), ("right", right_ns))]
     return findings
 
 
@@ -54,9 +54,9 @@ def _pairs(left_ns: Sequence[int], right_ns: Sequence[int], config: PairingConfi
     return pairs + pairing.flush()
 
 
-def _check_order(eye: str, stamps: Sequence[int]) -> Finding:
+def _check_order(side: str, stamps: Sequence[int]) -> Finding:
     steps = np.diff(np.array(stamps, np.int64))
-    check, limit = f"{eye} stamps", "set, rising"
+    check, limit = f"{side} stamps", "set, rising"
     if not any(stamps):
         remedy = "let the driver stamp its images with the time of exposure"
         return Finding(check, Level.ERROR, "all 0, which means not set", limit, remedy)
@@ -81,9 +81,9 @@ def _check_pairs(exact: int, near: list[tuple[int, int]], images: int) -> Findin
         remedy = f"{approximate}{max(1e-3, np.ceil(1.2e3 * largest_s) * 1e-3):.3f}, better let one signal trigger both"
         return Finding("pairs", Level.WARNING if exact else Level.ERROR, value, limit, remedy, figures)
     if exact:
-        remedy = "images of one eye are missing: look at the drops, at the load and at the bandwidth"
+        remedy = "images of one camera are missing: look at the drops, at the load and at the bandwidth"
         return Finding("pairs", Level.WARNING, value, limit, remedy, figures)
-    remedy = "synchronise the cameras and their clocks: no two images were taken together"
+    remedy = "synchronize the cameras and their clocks: no two images were taken together"
     return Finding("pairs", Level.ERROR, value, limit, remedy, figures)
 
 
@@ -117,13 +117,13 @@ def _check_rates(left_hz: float, right_hz: float) -> Finding:
     return Finding("rates", Level.WARNING, value, limit, remedy, figures)
 
 
-def _check_drops(eye: str, stamps: Sequence[int]) -> Finding:
+def _check_drops(side: str, stamps: Sequence[int]) -> Finding:
     steps = _intervals_ns(stamps)
     missing = int((np.rint(steps / np.median(steps)) - 1).clip(0).sum())
     total = len(steps) + 1 + missing
     value, limit = f"{missing} of {total} images missing", f"{100 * MAX_DROPPED:.0f} %"
     figures = {"missing": float(missing), "share": missing / total}
     if missing <= MAX_DROPPED * total:
-        return Finding(f"{eye} drops", Level.OK, value, limit, "", figures)
+        return Finding(f"{side} drops", Level.OK, value, limit, "", figures)
     remedy = "look at the load, the bandwidth of the camera's bus, and the disk of the recorder"
-    return Finding(f"{eye} drops", Level.WARNING, value, limit, remedy, figures)
+    return Finding(f"{side} drops", Level.WARNING, value, limit, remedy, figures)

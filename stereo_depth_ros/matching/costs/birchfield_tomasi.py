@@ -18,7 +18,7 @@ __all__ = ["COST_STEPS", "OUTSIDE", "U16", "birchfield_tomasi"]
 
 U16: TypeAlias = npt.NDArray[np.uint16]
 
-COST_STEPS = 2  # costs count half grey levels: what lies midway between two pixels is then a whole number
+COST_STEPS = 2  # costs count half gray levels: what lies midway between two pixels is then a whole number
 OUTSIDE = np.uint16(65535)
 
 
@@ -30,12 +30,12 @@ def birchfield_tomasi(left: U8, right: U8, min_disparity: int, num_disparities: 
     left and the right edge of an image its outermost pixel is repeated.
 
     Args:
-        left, right: uint8 (H, W), grey, rectified.
+        left, right: uint8 (H, W), gray, rectified.
         min_disparity: disparity of index 0, px.
         num_disparities: number of disparities, one px apart.
 
     Returns:
-        uint16 (H, W, num_disparities), in half grey levels (0 to 510); ``OUTSIDE`` where the partner of the left pixel
+        uint16 (H, W, num_disparities), in half gray levels (0 to 510); ``OUTSIDE`` where the partner of the left pixel
         is not in the right image.
     """
     costs = np.empty((*left.shape, num_disparities), np.uint16)
@@ -46,7 +46,7 @@ def birchfield_tomasi(left: U8, right: U8, min_disparity: int, num_disparities: 
 
 @compiled()
 def _interval(image: U8, y: int, low: U16, here: U16, high: U16) -> None:
-    """Least and largest value within half a pixel of each pixel of a row, and its own, in half grey levels."""
+    """Least and largest value within half a pixel of each pixel of a row, and its own, in half gray levels."""
     width = image.shape[1]
     for x in range(width):
         value = np.uint16(image[y, x])

@@ -39,9 +39,9 @@ def _popcount(_: Any, value: Any) -> Any:
 
 
 @compiled(allocates=False)
-def _add_bit(neighbours: U8, centres: U8, codes: U8) -> None:
+def _add_bit(neighbors: U8, centers: U8, codes: U8) -> None:
     for x in range(codes.size):
-        codes[x] = np.uint8(np.uint8(codes[x] << _ONE) | np.uint8(neighbours[x] < centres[x]))
+        codes[x] = np.uint8(np.uint8(codes[x] << _ONE) | np.uint8(neighbors[x] < centers[x]))
 
 
 @compiled(allocates=False)
@@ -52,9 +52,9 @@ def _add_byte(part: U8, codes: U64) -> None:
 
 @compiled(numba.void(numba.int64, numba.int64, READ_ONLY_U8, numba.uint64[:, ::1]))
 def census_rows(first: int, last: int, image: U8, codes: U64) -> None:
-    """Census transform with a window of 9 x 7: a bit says whether a neighbour is darker than the centre.
+    """Census transform with a window of 9 x 7: a bit says whether a neighbor is darker than the center.
 
-    Zabih and Woodfill, "Non-parametric local transforms for computing visual correspondence", ECCV 1994. Neighbours
+    Zabih and Woodfill, "Non-parametric local transforms for computing visual correspondence", ECCV 1994. Neighbors
     outside the image are the nearest pixels inside.
 
     Args:
@@ -72,12 +72,12 @@ def census_rows(first: int, last: int, image: U8, codes: U64) -> None:
             window[j, RADIUS_X:-RADIUS_X] = row
             window[j, -RADIUS_X:] = row[width - 1]
         codes[y] = 0
-        centres = window[RADIUS_Y, RADIUS_X : RADIUS_X + width]
+        centers = window[RADIUS_Y, RADIUS_X : RADIUS_X + width]
         bits = 0
         for j in range(2 * RADIUS_Y + 1):
             for i in range(2 * RADIUS_X + 1):
                 if i != RADIUS_X or j != RADIUS_Y:
-                    _add_bit(window[j, i : i + width], centres, part)
+                    _add_bit(window[j, i : i + width], centers, part)
                     bits += 1
                     if bits % 8 == CENSUS_BITS % 8:  # eight at a time, in bytes: eight times as many pixels at once
                         _add_byte(part, codes[y])
@@ -127,7 +127,7 @@ def cost_rows(left: U64, right: U64, first: int, last: int, max_disparity: int, 
 
     Index k of a cost counts down from the largest disparity, so that it runs along the right image. Where the right
     image has ended the distance stays what it was at the end, at most ``NEUTRAL_COST``: a distance of its own would
-    favour the disparities inside, and paths would carry that over all of an image without texture.
+    favor the disparities inside, and paths would carry that over all of an image without texture.
 
     Args:
         left, right: census of the images, uint64 (H, W).

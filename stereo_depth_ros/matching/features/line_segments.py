@@ -17,8 +17,8 @@ __all__ = ["LineSegments", "common_rows", "detect_segments", "line_similarity"]
 MIN_LENGTH_PX = 10.0
 # Along a segment that lies flatter, an error of one row becomes an error of the disparity of three columns and more.
 MIN_SLOPE_DEG = 20.0
-# The detector works on an image of 0.8 of the size and scales back coordinates without regard to pixel centres.
-CENTRE_SHIFT_PX = 0.5 / 0.8 - 0.5
+# The detector works on an image of 0.8 of the size and scales back coordinates without regard to pixel centers.
+CENTER_SHIFT_PX = 0.5 / 0.8 - 0.5
 CONTRAST_OFFSET_PX = 2.0  # from the segment to where its two sides are looked at
 CONTRAST_SAMPLES = 16
 
@@ -34,8 +34,8 @@ class LineSegments:
     """N segments of one image and what describes them.
 
     Attributes:
-        ends: float64 (N, 2, 2), the upper end, then the lower one, each (x, y) in px; pixel centres are whole numbers.
-        contrast: float64 (N,), mean grey on the side of smaller x minus that of larger x, -255..255.
+        ends: float64 (N, 2, 2), the upper end, then the lower one, each (x, y) in px; pixel centers are whole numbers.
+        contrast: float64 (N,), mean gray on the side of smaller x minus that of larger x, -255..255.
     """
 
     ends: F64
@@ -99,7 +99,7 @@ def detect_segments(image: U8) -> LineSegments:
         image: uint8 (H, W).
     """
     found = cv2.createLineSegmentDetector().detect(image)[0]
-    ends = np.empty((0, 2, 2)) if found is None else found.reshape(-1, 2, 2) + CENTRE_SHIFT_PX
+    ends = np.empty((0, 2, 2)) if found is None else found.reshape(-1, 2, 2) + CENTER_SHIFT_PX
     upside_down = ends[:, 0, 1] > ends[:, 1, 1]
     ends[upside_down] = ends[upside_down, ::-1]
     dx, dy = np.moveaxis(ends[:, 1] - ends[:, 0], 1, 0)
@@ -151,7 +151,7 @@ def line_similarity(left: LineSegments, right: LineSegments, min_disparity: floa
 
 
 def _contrast(image: U8, ends: F64) -> F64:
-    """Mean difference of the grey values beside each segment, float64 (N,)."""
+    """Mean difference of the gray values beside each segment, float64 (N,)."""
     if not len(ends):
         return np.empty(0)
     along = (np.arange(CONTRAST_SAMPLES) + 0.5) / CONTRAST_SAMPLES
@@ -159,12 +159,12 @@ def _contrast(image: U8, ends: F64) -> F64:
     points = ends[:, None, 0] + along[:, None] * run[:, None]
     normal = np.stack((-run[:, 1], run[:, 0]), axis=1) / np.hypot(run[:, 0], run[:, 1])[:, None]
     offset = CONTRAST_OFFSET_PX * normal[:, None]
-    smaller_x, larger_x = (_mean_grey(image, points + side) for side in (offset, -offset))
+    smaller_x, larger_x = (_mean_gray(image, points + side) for side in (offset, -offset))
     return smaller_x - larger_x
 
 
-def _mean_grey(image: U8, points: F64) -> F64:
-    """Means over axis 1 of the grey values at (N, K, 2) points, bilinear; the border goes on outside."""
+def _mean_gray(image: U8, points: F64) -> F64:
+    """Means over axis 1 of the gray values at (N, K, 2) points, bilinear; the border goes on outside."""
     sampled = cv2.remap(image, points.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     means: F64 = sampled.mean(axis=1, dtype=np.float64)
     return means

@@ -15,7 +15,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, F64, U8, Frame, MatchResult, Reason
 from stereo_depth_ros.matching.features.line_segments import common_rows, detect_segments, line_similarity
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
 
 __all__ = ["FeatureMatcher", "FeatureMatches", "nearest_pixels"]
@@ -24,7 +24,7 @@ Indices: TypeAlias = npt.NDArray[np.intp]
 
 MAX_ROW_DIFFERENCE_PX = 1.0
 MAX_CORNERS = 4000  # of an image, the strongest
-SIFT_SHIFT_PX = 0.25  # OpenCV tells positions of the doubled image, halved without regard to pixel centres
+SIFT_SHIFT_PX = 0.25  # OpenCV tells positions of the doubled image, halved without regard to pixel centers
 FAST_THRESHOLD = 10  # with ORB's own 20, dim rooms are empty
 REFINEMENT_WINDOW_PX = (11, 11)
 MIN_COMMON_ROWS = 3
@@ -42,7 +42,7 @@ class FeatureMatches:
     """N points of the left image and the same points in the right image.
 
     Attributes:
-        left_xy, right_xy: float64 (N, 2), px; pixel centres are whole numbers.
+        left_xy, right_xy: float64 (N, 2), px; pixel centers are whole numbers.
         score: float64 (N,), from 0, no better than another candidate, to 1, equal and alone.
     """
 
@@ -78,7 +78,7 @@ class FeatureMatches:
         return rgb
 
     def points_m(self, triangulation: Triangulation) -> F64:
-        """float64 (N, 3): X, Y, Z in the left rectified frame, metres; NaN where the disparity is not above doffs."""
+        """float64 (N, 3): X, Y, Z in the left rectified frame, meters; NaN where the disparity is not above doffs."""
         return triangulation.points(self.left_xy, self.right_xy)
 
 
@@ -93,12 +93,12 @@ class FeatureMatcher(SerialMatcher):
     of that are noise.
 
     Corners have the sub-pixel positions of their detector. ORB finds them at whole pixels: the right ones are moved to
-    where the grey values agree with those around the left ones (Lucas and Kanade 1981). Lines that match have a
+    where the gray values agree with those around the left ones (Lucas and Kanade 1981). Lines that match have a
     disparity in each row that both cross. Pixels without a feature are NO_MATCH.
     """
 
     name = "features"
-    step_px = 1 / FIXED_STEPS
+    step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""
@@ -125,7 +125,7 @@ class FeatureMatcher(SerialMatcher):
         """The matched features themselves; of lines, a point in each row.
 
         Args:
-            left, right: uint8 (H, W), grey, rectified; corners are found in other pairs too.
+            left, right: uint8 (H, W), gray, rectified; corners are found in other pairs too.
             max_row_difference_px: by how much the rows of two corners may differ; points of lines have equal rows.
 
         Raises:
@@ -142,12 +142,12 @@ class FeatureMatcher(SerialMatcher):
 
     def _find_corners(self, left: U8, right: U8, max_row_difference_px: float) -> tuple[FeatureMatches, F64, U8]:
         kind = self.config.feature_type
-        left_xy, left_words = _corners(left, kind)
-        right_xy, right_words = _corners(right, kind)
+        left_xy, left_descriptors = _corners(left, kind)
+        right_xy, right_descriptors = _corners(right, kind)
         i, j = _in_common_rows(left_xy[:, 1], right_xy[:, 1], max_row_difference_px)
         near = self._searched(left_xy[i, 0] - right_xy[j, 0])
         i, j = i[near], j[near]
-        squared = _squared_distances(left_words, right_words, i, j)
+        squared = _squared_distances(left_descriptors, right_descriptors, i, j)
         cost = np.sqrt(squared) if kind == "sift" else squared
         best, score, reasons = _select(i, j, cost, left_xy[i, 0] - right_xy[j, 0], len(left_xy), self.config)
         matches = FeatureMatches(left_xy[i[best]], right_xy[j[best]], score)

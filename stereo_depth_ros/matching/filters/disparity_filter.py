@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Filters of disparities over their neighbours, which leave holes as they are: mean of those that agree, and median."""
+"""Filters of disparities over their neighbors, which leave holes as they are: mean of those that agree, and median."""
 
 from __future__ import annotations
 

@@ -16,8 +16,8 @@ __all__ = ["fill_holes"]
 def fill_holes(disparity_px: F32, reasons: U8) -> None:
     """Gives every hole the lower of the nearest disparities to its left and right in the row, in place.
 
-    What the right eye does not see lies behind what hides it. A row without disparities takes the nearest row that has
-    any. Where the whole map is empty, it stays so.
+    What the right camera does not see lies behind what hides it. A row without disparities takes the nearest row that
+    has any. Where the whole map is empty, it stays so.
 
     Args:
         disparity_px: float32 (H, W), NaN where invalid.

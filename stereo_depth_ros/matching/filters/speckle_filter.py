@@ -13,7 +13,7 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8, Reason
 
-__all__ = ["I16", "SpeckleFilter", "disparity_from_fixed"]
+__all__ = ["I16", "SpeckleFilter", "disparity_from_x16"]
 
 I16: TypeAlias = npt.NDArray[np.int16]
 I32: TypeAlias = npt.NDArray[np.int32]
@@ -22,7 +22,7 @@ SPECKLE = int(Reason.SPECKLE)
 NAN = np.float32(np.nan)
 
 
-def disparity_from_fixed(fixed: I16, reasons: U8, out: F32) -> None:
+def disparity_from_x16(disparity_x16: I16, reasons: U8, out: F32) -> None:
     """Writes disparities in pixels, NaN where there is a reason.
 
     Args:
@@ -30,20 +30,20 @@ def disparity_from_fixed(fixed: I16, reasons: U8, out: F32) -> None:
         reasons: uint8 (H, W), bits of :class:`~stereo_depth_ros.core.types.Reason`.
         out: float32 (H, W), px.
     """
-    run_bands(_disparity_rows, fixed.shape[0], fixed, reasons, out)
+    run_bands(_disparity_rows, disparity_x16.shape[0], disparity_x16, reasons, out)
 
 
 @compiled("void(int64, int64, int16[:, ::1], uint8[:, ::1], float32[:, ::1])")
-def _disparity_rows(first: int, last: int, fixed: I16, reasons: U8, out: F32) -> None:
+def _disparity_rows(first: int, last: int, disparity_x16: I16, reasons: U8, out: F32) -> None:
     for y in range(first, last):
-        for x in range(fixed.shape[1]):
-            out[y, x] = NAN if reasons[y, x] else np.float32(fixed[y, x]) * np.float32(1 / 16)
+        for x in range(disparity_x16.shape[1]):
+            out[y, x] = NAN if reasons[y, x] else np.float32(disparity_x16[y, x]) * np.float32(1 / 16)
 
 
 class SpeckleFilter:
     """Removes small components of similar disparity; the pixels removed are those of ``cv2.filterSpeckles``.
 
-    Two neighbours (4-connected) that are both valid and differ by at most ``max_difference`` belong together;
+    Two neighbors (4-connected) that are both valid and differ by at most ``max_difference`` belong together;
     components of up to ``max_size`` pixels are marked SPECKLE. Connected runs of pixels are united in a union-find
     forest (Wu, Otoo and Suzuki 2009), in bands of rows whose seams are joined afterwards.
     """
@@ -54,7 +54,7 @@ class SpeckleFilter:
         self._max_difference = max_difference
         self._labels: I32 = np.empty((0, 0), np.int32)
 
-    def __call__(self, fixed: I16, reasons: U8) -> None:
+    def __call__(self, disparity_x16: I16, reasons: U8) -> None:
         """Marks speckles in ``reasons``, in place.
 
         Args:
@@ -63,15 +63,15 @@ class SpeckleFilter:
         """
         if self._max_size == 0:
             return
-        if self._labels.shape != fixed.shape:
-            self._labels = np.empty(fixed.shape, np.int32)
-            self._parent = np.empty(fixed.size, np.int32)
-            self._size = np.empty(fixed.size, np.int32)
-        rows = fixed.shape[0]
+        if self._labels.shape != disparity_x16.shape:
+            self._labels = np.empty(disparity_x16.shape, np.int32)
+            self._parent = np.empty(disparity_x16.size, np.int32)
+            self._size = np.empty(disparity_x16.size, np.int32)
+        rows = disparity_x16.shape[0]
         seams = np.zeros(rows, np.uint8)
         forest = (self._labels, self._parent, self._size)
-        run_bands(_label_rows, rows, fixed, reasons, self._max_difference, *forest, seams)
-        _join_seams(fixed, reasons, self._max_difference, *forest, seams)
+        run_bands(_label_rows, rows, disparity_x16, reasons, self._max_difference, *forest, seams)
+        _join_seams(disparity_x16, reasons, self._max_difference, *forest, seams)
         run_bands(_mark_rows, rows, reasons, self._max_size, *forest)
 
 
@@ -98,11 +98,19 @@ def _unite(parent: I32, size: I32, a: int, b: int) -> int:
     "void(int64, int64, int16[:, ::1], uint8[:, ::1], int64, int32[:, ::1], int32[::1], int32[::1], uint8[::1])",
 )
 def _label_rows(
-    first: int, last: int, fixed: I16, reasons: U8, tolerance: int, labels: I32, parent: I32, size: I32, seams: U8
+    first: int,
+    last: int,
+    disparity_x16: I16,
+    reasons: U8,
+    tolerance: int,
+    labels: I32,
+    parent: I32,
+    size: I32,
+    seams: U8,
 ) -> None:
     """Labels the runs of each row (the index of their first pixel) and unites them with the runs above."""
     seams[first] = 1
-    width = fixed.shape[1]
+    width = disparity_x16.shape[1]
     for y in range(first, last):
         label, begin, united = -1, 0, -1
         for x in range(width):
@@ -111,8 +119,8 @@ def _label_rows(
                     size[_root(parent, label)] += x - begin
                 label = -1
                 continue
-            value = np.int64(fixed[y, x])
-            if label < 0 or abs(value - fixed[y, x - 1]) > tolerance:
+            value = np.int64(disparity_x16[y, x])
+            if label < 0 or abs(value - disparity_x16[y, x - 1]) > tolerance:
                 if label >= 0:
                     size[_root(parent, label)] += x - begin
                 label, begin, united = y * width + x, x, -1
@@ -120,7 +128,7 @@ def _label_rows(
                 size[label] = 0
             labels[y, x] = label
             above = labels[y - 1, x] if y > first and reasons[y - 1, x] == 0 else united
-            if above != united and abs(value - fixed[y - 1, x]) <= tolerance:
+            if above != united and abs(value - disparity_x16[y - 1, x]) <= tolerance:
                 united = above
                 _unite(parent, size, label, united)
         if label >= 0:
@@ -128,11 +136,13 @@ def _label_rows(
 
 
 @compiled("void(int16[:, ::1], uint8[:, ::1], int64, int32[:, ::1], int32[::1], int32[::1], uint8[::1])")
-def _join_seams(fixed: I16, reasons: U8, tolerance: int, labels: I32, parent: I32, size: I32, seams: U8) -> None:
-    for y in range(1, fixed.shape[0]):
+def _join_seams(
+    disparity_x16: I16, reasons: U8, tolerance: int, labels: I32, parent: I32, size: I32, seams: U8
+) -> None:
+    for y in range(1, disparity_x16.shape[0]):
         if seams[y]:
-            for x in range(fixed.shape[1]):
-                step = abs(np.int64(fixed[y, x]) - fixed[y - 1, x])
+            for x in range(disparity_x16.shape[1]):
+                step = abs(np.int64(disparity_x16[y, x]) - disparity_x16[y - 1, x])
                 if reasons[y, x] == 0 and reasons[y - 1, x] == 0 and step <= tolerance:
                     _unite(parent, size, labels[y, x], labels[y - 1, x])
 

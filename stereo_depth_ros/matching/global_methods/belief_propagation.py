@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Belief propagation: neighbours tell each other what their disparities would cost, from coarse to fine."""
+"""Belief propagation: neighbors tell each other what their disparities would cost, from coarse to fine."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.matching.global_methods.energy import I32, StereoModel, energy
-from stereo_depth_ros.matching.global_methods.global_matcher import LabellingMatcher
+from stereo_depth_ros.matching.global_methods.global_matcher import GlobalMatcher
 
 __all__ = ["BeliefPropagationMatcher"]
 
@@ -19,15 +19,15 @@ ITERATIONS = 10  # on each level
 RIGHT, LEFT, DOWN, UP = range(4)  # where a message goes
 
 
-class BeliefPropagationMatcher(LabellingMatcher):
+class BeliefPropagationMatcher(GlobalMatcher):
     """Loopy min-sum belief propagation (max-product of the probabilities) on the grid, from coarse to fine.
 
     After Felzenszwalb and Huttenlocher (2006): messages of a truncated linear penalty in time linear in the number of
-    disparities; pixels of the two colours of a chessboard take turns, so one set of messages is enough; messages begin
-    as those of a grid of half the resolution. Other than there, a pixel of the coarser grid stands for labellings that
+    disparities; pixels of the two colors of a chessboard take turns, so one set of messages is enough; messages begin
+    as those of a grid of half the resolution. Other than there, a pixel of the coarser grid stands for labelings that
     are constant on its block, so that contrast-sensitive weights add up as the costs do.
 
-    The energy is that of ``energy.py``; ``energies`` holds it, in grey levels, after each
+    The energy is that of ``energy.py``; ``energies`` holds it, in gray levels, after each
     iteration on the finest grid, of the last pair. It need not fall every time. ``iterations`` are per grid.
     """
 
@@ -57,7 +57,7 @@ class BeliefPropagationMatcher(LabellingMatcher):
 
 
 def _coarser(model: StereoModel) -> StereoModel:
-    """The energy of labellings that are constant on blocks of 2 x 2 pixels, fewer at the right and the lower edge."""
+    """The energy of labelings that are constant on blocks of 2 x 2 pixels, fewer at the right and the lower edge."""
     height, width = model.data.shape[:2]
     rows, columns = np.arange(0, height, 2), np.arange(0, width, 2)
     data: I32 = np.add.reduceat(np.add.reduceat(model.data, rows, 0, np.int32), columns, 1, np.int32)
@@ -86,15 +86,15 @@ def _finer_messages(coarse: I32, model: StereoModel) -> I32:
 
 
 def _exchange(model: StereoModel, messages: I32) -> None:
-    """One iteration: the pixels of each colour send messages to their neighbours, all of the other colour."""
-    for colour in (0, 1):
-        values = (model.data, model.weights, model.largest_step, colour, messages)
+    """One iteration: the pixels of each color send messages to their neighbors, all of the other color."""
+    for color in (0, 1):
+        values = (model.data, model.weights, model.largest_step, color, messages)
         run_bands(_message_rows, model.data.shape[0], *values)
 
 
 @compiled()
 def _send(total: I32, reply: I32, weight: int, largest_step: int, message: I32) -> None:
-    """What a pixel tells a neighbour: its costs, without what the neighbour told it, for each label of the neighbour.
+    """What a pixel tells a neighbor: its costs, without what the neighbor told it, for each label of the neighbor.
 
     The least over all labels of the pixel, by one sweep up and one down; less a constant, so that the least is 0.
     """
@@ -113,14 +113,12 @@ def _send(total: I32, reply: I32, weight: int, largest_step: int, message: I32) 
 
 
 @compiled("void(int64, int64, int32[:, :, ::1], int32[:, :, ::1], int32, int64, int32[:, :, :, ::1])")
-def _message_rows(
-    first: int, last: int, data: I32, weights: I32, largest_step: int, colour: int, messages: I32
-) -> None:
+def _message_rows(first: int, last: int, data: I32, weights: I32, largest_step: int, color: int, messages: I32) -> None:
     height, width, count = data.shape
     total = np.empty(count, np.int32)
     for y in range(first, last):
         row = y + 1
-        for x in range((y + colour) % 2, width, 2):
+        for x in range((y + color) % 2, width, 2):
             column = x + 1
             from_left, from_right = messages[RIGHT, row, column - 1], messages[LEFT, row, column + 1]
             from_above, from_below = messages[DOWN, row - 1, column], messages[UP, row + 1, column]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diffusion: the costs of all disparities spread to neighbouring pixels until each pixel's winner is clear."""
+"""Diffusion: the costs of all disparities spread to neighboring pixels until each pixel's winner is clear."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.matching.filters.speckle_filter import I16
-from stereo_depth_ros.matching.photometric import match_brightness
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.photometric import match_photometric
+from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.selection.float_costs import finish, select_row
 from stereo_depth_ros.matching.serial import SerialMatcher
 
@@ -23,14 +23,14 @@ __all__ = ["DiffusionMatcher"]
 
 ITERATIONS = 80
 
-# The grey difference of a match is Gaussian, but for a share of outliers that may have any.
+# The gray difference of a match is Gaussian, but for a share of outliers that may have any.
 NOISE_SIGMA = 8.0
 NOISE_OUTLIERS = 0.1
-# So is the difference of neighbouring disparities, px. Sigma is for a grid of whole disparities.
+# So is the difference of neighboring disparities, px. Sigma is for a grid of whole disparities.
 STEP_SIGMA_PX = 0.4
 STEP_OUTLIERS = 0.01
-# Weight of each of the four neighbours: 1 is the mean field, less makes up for evidence that comes back to its pixel.
-NEIGHBOUR_WEIGHT = 0.5
+# Weight of each of the four neighbors: 1 is the mean field, less makes up for evidence that comes back to its pixel.
+NEIGHBOR_WEIGHT = 0.5
 # Membrane: rate of diffusion (at most 1/4 is stable), and how strongly each pixel is held to its own cost.
 DIFFUSION_RATE = 0.15
 HOLD_RATE = 0.02
@@ -39,13 +39,13 @@ HOLD_RATE = 0.02
 class DiffusionMatcher(SerialMatcher):
     """Diffusion of the disparity space (Scharstein and Szeliski 1998), ``iterations`` times; 0 is 80.
 
-    The cost of a pixel at a disparity is E0 = -log of a contaminated Gaussian of the grey difference, the
+    The cost of a pixel at a disparity is E0 = -log of a contaminated Gaussian of the gray difference, the
     left image made as bright as the right one before. It spreads by ``diffusion_model``:
 
     - "bayesian": each pixel keeps a distribution p = exp(-E) / sum exp(-E) over its disparities. It is smoothed along
-      the disparities by the prior of neighbours (a contaminated Gaussian too), and its -log, Es, is what the
-      neighbours hear: E = E0 + w sum over 4 neighbours of Es. Evidence spreads along surfaces and stops at their edges.
-    - "membrane": E moves by a (sum over 4 neighbours of their E - E) + b (E0 - E); linear smoothing whose support is
+      the disparities by the prior of neighbors (a contaminated Gaussian too), and its -log, Es, is what the
+      neighbors hear: E = E0 + w sum over 4 neighbors of Es. Evidence spreads along surfaces and stops at their edges.
+    - "membrane": E moves by a (sum over 4 neighbors of their E - E) + b (E0 - E); linear smoothing whose support is
       bell-shaped, without a window.
 
     Then winner, uniqueness and left-right check (``disp12_max_diff`` above 0), and the fit of a parabola. Bayesian
@@ -54,7 +54,7 @@ class DiffusionMatcher(SerialMatcher):
     """
 
     name = "diffusion"
-    step_px = 1 / FIXED_STEPS
+    step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""
@@ -67,15 +67,15 @@ class DiffusionMatcher(SerialMatcher):
         check_pair(left, right, config)
         rows = left.shape[0]
         data = np.empty((*left.shape, config.num_disparities), np.float32)
-        images = (match_brightness(left, right, config), np.ascontiguousarray(right))
+        images = (match_photometric(left, right, config), np.ascontiguousarray(right))
         run_bands(_cost_rows, rows, *images, config.max_disparity, _noise_energies(), data)
         bayesian = config.diffusion_model == "bayesian"
         energies = self._bayesian_energies(data) if bayesian else self._membrane_energies(data)
-        fixed = np.zeros(left.shape, np.int16)
+        disparity_x16 = np.zeros(left.shape, np.int16)
         reasons = np.empty(left.shape, np.uint8)
         checks = (config.uniqueness_ratio, config.disp12_max_diff)
-        run_bands(_select_rows, rows, energies, config.max_disparity, *checks, fixed, reasons)
-        return finish(fixed, reasons, config, self.step_px)
+        run_bands(_select_rows, rows, energies, config.max_disparity, *checks, disparity_x16, reasons)
+        return finish(disparity_x16, reasons, config, self.step_px)
 
     def _bayesian_energies(self, data: F32) -> F32:
         beside = math.exp(-1 / (2 * STEP_SIGMA_PX**2))
@@ -96,7 +96,7 @@ class DiffusionMatcher(SerialMatcher):
 
 
 def _noise_energies() -> F32:
-    """-log of the contaminated Gaussian for each absolute grey difference 0..255."""
+    """-log of the contaminated Gaussian for each absolute gray difference 0..255."""
     gaussian = np.exp(-(np.arange(256.0) ** 2) / (2 * NOISE_SIGMA**2))
     energies: F32 = -np.log((1 - NOISE_OUTLIERS) * gaussian + NOISE_OUTLIERS).astype(np.float32)
     return energies
@@ -121,16 +121,16 @@ def _cost_rows(first: int, last: int, left: U8, right: U8, max_disparity: int, e
 
 @compiled()
 def _energy(data: F32, heard: F32, y: int, x: int, k: int) -> np.float32:
-    """E0 and what the four neighbours say; a pixel at the edge of the image hears itself instead."""
+    """E0 and what the four neighbors say; a pixel at the edge of the image hears itself instead."""
     height, width = data.shape[0], data.shape[1]
     vertical = heard[max(y - 1, 0), x, k] + heard[min(y + 1, height - 1), x, k]
     horizontal = heard[y, max(x - 1, 0), k] + heard[y, min(x + 1, width - 1), k]
-    return np.float32(data[y, x, k] + np.float32(NEIGHBOUR_WEIGHT) * (vertical + horizontal))
+    return np.float32(data[y, x, k] + np.float32(NEIGHBOR_WEIGHT) * (vertical + horizontal))
 
 
 @compiled("void(int64, int64, float32[:, :, ::1], float32[:, :, ::1], float32, float32, float32[:, :, ::1])")
-def _bayesian_rows(first: int, last: int, data: F32, heard: F32, centre: float, beside: float, said: F32) -> None:
-    """What each pixel says to its neighbours, from what it heard."""
+def _bayesian_rows(first: int, last: int, data: F32, heard: F32, center: float, beside: float, said: F32) -> None:
+    """What each pixel says to its neighbors, from what it heard."""
     count = data.shape[2]
     p = np.zeros(count + 2, np.float32)  # p[k + 1] is index k; both ends stay 0
     outliers = np.float32(STEP_OUTLIERS)
@@ -150,7 +150,7 @@ def _bayesian_rows(first: int, last: int, data: F32, heard: F32, centre: float, 
                 total += p[k]
             scale = np.float32((1 - outliers) / total)
             for k in range(count):
-                smooth = centre * p[k + 1] + beside * (p[k] + p[k + 2])
+                smooth = center * p[k + 1] + beside * (p[k] + p[k + 2])
                 said[y, x, k] = -np.log(scale * smooth + outliers)
 
 
@@ -186,8 +186,8 @@ def _select_rows(
     max_disparity: int,
     uniqueness: float,
     tolerance: int,
-    fixed: I16,
+    disparity_x16: I16,
     reasons: U8,
 ) -> None:
     for y in range(first, last):
-        select_row(y, energies[y], max_disparity, True, uniqueness, tolerance, fixed, reasons)
+        select_row(y, energies[y], max_disparity, True, uniqueness, tolerance, disparity_x16, reasons)

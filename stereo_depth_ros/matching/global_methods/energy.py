@@ -13,16 +13,16 @@ import numpy.typing as npt
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.matching.costs.birchfield_tomasi import COST_STEPS, OUTSIDE, birchfield_tomasi
-from stereo_depth_ros.matching.photometric import match_brightness
+from stereo_depth_ros.matching.photometric import match_photometric
 
-__all__ = ["I32", "StereoModel", "energy", "neighbour_weights", "searched_columns", "stereo_model"]
+__all__ = ["I32", "StereoModel", "energy", "neighbor_weights", "searched_columns", "stereo_model"]
 
 I32: TypeAlias = npt.NDArray[np.int32]
 
-LARGEST_DATA_COST = 15  # grey levels; beyond it a pixel is an outlier (occluded, a reflection), whatever its cost
-SMOOTHNESS = 1.5  # grey levels that a step of one pixel costs, where the config leaves it to the method
+LARGEST_DATA_COST = 15  # gray levels; beyond it a pixel is an outlier (occluded, a reflection), whatever its cost
+SMOOTHNESS = 1.5  # gray levels that a step of one pixel costs, where the config leaves it to the method
 LARGEST_STEP = 2  # px; a larger step is a discontinuity and costs no more
-CONTRAST = 16  # grey levels; neighbours that differ by less are probably of one surface ...
+CONTRAST = 16  # gray levels; neighbors that differ by less are probably of one surface ...
 CONTRAST_FACTOR = 2  # ... and a step between them costs this many times as much
 
 
@@ -30,12 +30,12 @@ CONTRAST_FACTOR = 2  # ... and a step between them costs this many times as much
 class StereoModel:
     """The energy function of one pair: E(f) = sum_p D(p, f_p) + sum_pq w_pq min(|f_p - f_q|, largest_step).
 
-    Costs are whole numbers of half grey levels, so that energies can be compared exactly.
+    Costs are whole numbers of half gray levels, so that energies can be compared exactly.
 
     Attributes:
         data: int32 (H, W, N), D: what it costs to give a pixel the disparity of an index.
-        weights: int32 (2, H, W), w: what a step of one px costs, to the right neighbour in [0] and to the lower one
-            in [1]; 0 where there is no neighbour.
+        weights: int32 (2, H, W), w: what a step of one px costs, to the right neighbor in [0] and to the lower one
+            in [1]; 0 where there is no neighbor.
         largest_step: the step from which on the cost does not grow, px.
         largest_cost: the largest ``data`` of a disparity that lies in the right image.
     """
@@ -51,21 +51,21 @@ def searched_columns(config: MatchingConfig, width: int) -> slice:
     return slice(max(0, config.min_disparity), width + min(0, config.max_disparity))
 
 
-def neighbour_weights(image: U8, smoothness: float) -> I32:
-    """Contrast-sensitive weights of the edges between neighbours (Boykov, Veksler and Zabih 2001, section 8.2).
+def neighbor_weights(image: U8, smoothness: float) -> I32:
+    """Contrast-sensitive weights of the edges between neighbors (Boykov, Veksler and Zabih 2001, section 8.2).
 
     Args:
         image: uint8 (H, W), whose edges disparity steps should follow.
-        smoothness: weight across an edge of the image, grey levels.
+        smoothness: weight across an edge of the image, gray levels.
 
     Returns:
-        int32 (2, H, W), half grey levels, as in :class:`StereoModel`.
+        int32 (2, H, W), half gray levels, as in :class:`StereoModel`.
     """
-    grey = image.astype(np.int32)
+    gray = image.astype(np.int32)
     weights = np.zeros((2, *image.shape), np.int32)
     low, high = round(COST_STEPS * smoothness), round(COST_STEPS * smoothness * CONTRAST_FACTOR)
-    weights[0, :, :-1] = np.where(np.abs(np.diff(grey, axis=1)) < CONTRAST, high, low)
-    weights[1, :-1] = np.where(np.abs(np.diff(grey, axis=0)) < CONTRAST, high, low)
+    weights[0, :, :-1] = np.where(np.abs(np.diff(gray, axis=1)) < CONTRAST, high, low)
+    weights[1, :-1] = np.where(np.abs(np.diff(gray, axis=0)) < CONTRAST, high, low)
     return weights
 
 
@@ -73,15 +73,15 @@ def stereo_model(left: U8, right: U8, config: MatchingConfig) -> StereoModel:
     """Truncated costs of Birchfield and Tomasi and contrast-sensitive weights, over :func:`searched_columns`.
 
     Costs are those of the left image made as bright as the right one. A disparity that leaves the right image costs
-    more than all four neighbours can make up for.
+    more than all four neighbors can make up for.
 
     Args:
-        left, right: uint8 (H, W), grey, rectified.
-        config: the search, and ``smoothness`` in grey levels, 0 for 1.5.
+        left, right: uint8 (H, W), gray, rectified.
+        config: the search, and ``smoothness`` in gray levels, 0 for 1.5.
     """
     columns = searched_columns(config, left.shape[1])
-    weights = neighbour_weights(left[:, columns], config.smoothness or SMOOTHNESS)
-    left = match_brightness(left, right, config)
+    weights = neighbor_weights(left[:, columns], config.smoothness or SMOOTHNESS)
+    left = match_photometric(left, right, config)
     costs = birchfield_tomasi(left, right, config.min_disparity, config.num_disparities)[:, columns]
     largest = COST_STEPS * LARGEST_DATA_COST
     forbidden = largest + 4 * LARGEST_STEP * int(weights.max()) + 1
@@ -91,7 +91,7 @@ def stereo_model(left: U8, right: U8, config: MatchingConfig) -> StereoModel:
 
 
 def energy(model: StereoModel, labels: I32) -> float:
-    """E of a labelling, in grey levels.
+    """E of a labeling, in gray levels.
 
     Args:
         labels: int32 (H, W), index of the disparity of each pixel, 0 to N - 1.

@@ -15,24 +15,24 @@ from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.matching.costs.birchfield_tomasi import COST_STEPS
 from stereo_depth_ros.matching.filters.speckle_filter import I16
 from stereo_depth_ros.matching.global_methods.energy import I32, StereoModel, searched_columns, stereo_model
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.selection.float_costs import finish
 from stereo_depth_ros.matching.serial import SerialMatcher
 
-__all__ = ["NO_LABEL", "LabellingMatcher", "lead"]
+__all__ = ["NO_LABEL", "GlobalMatcher", "margin"]
 
 NO_LABEL = -1
 LEAST_SMOOTHNESS = 1 / COST_STEPS
 
 
-class LabellingMatcher(SerialMatcher):
+class GlobalMatcher(SerialMatcher):
     """A method that gives every pixel a label, the index of a whole disparity, or none where it takes it for occluded.
 
     Disparities are whole pixels: a fit of the costs beside them would move more pixels away from the truth than
     towards it, since the least of a truncated cost that ignores sampling is flat. ``disp12_max_diff`` above 0 labels
     the right image as well (the mirrored pair), and marks the pixels with which it disagrees; this doubles the time.
     ``uniqueness_ratio`` has no effect, a pixel's own costs do not decide. ``speckle_range`` is in px. The confidence
-    is :func:`lead`, over windows of ``correlation_window_size``, times the share of disparities around that agree.
+    is :func:`margin`, over windows of ``correlation_window_size``, times the share of disparities around that agree.
     """
 
     step_px = 1.0
@@ -42,7 +42,7 @@ class LabellingMatcher(SerialMatcher):
         check_search(config)
         if 0 < config.smoothness < LEAST_SMOOTHNESS:
             raise ConfigError(
-                f"smoothness = {config.smoothness:g} is below {LEAST_SMOOTHNESS:g} grey levels, half a level being the "
+                f"smoothness = {config.smoothness:g} is below {LEAST_SMOOTHNESS:g} gray levels, half a level being the "
                 f"unit of {self.name}: take {LEAST_SMOOTHNESS:g} or more, or 0 for the method's own"
             )
         super().__init__(config)
@@ -55,19 +55,19 @@ class LabellingMatcher(SerialMatcher):
         config = self.config
         check_pair(left, right, config)
         columns = searched_columns(config, left.shape[1])
-        fixed = np.zeros(left.shape, np.int16)
+        disparity_x16 = np.zeros(left.shape, np.int16)
         reasons = np.full(left.shape, Reason.BORDER, np.uint8)
-        leads = np.zeros(left.shape, np.float32)
+        margins = np.zeros(left.shape, np.float32)
         # The right image first: what a method tells of its last run is of the left one.
         right_labels = self._right_labels(left, right) if config.disp12_max_diff > 0 else None
         model = stereo_model(left, right, config)
         labels = self._label(model)
         reasons[:, columns] = np.where(labels == NO_LABEL, np.uint8(Reason.NO_MATCH), np.uint8(0))
-        fixed[:, columns] = (labels + config.min_disparity) * FIXED_STEPS
-        leads[:, columns] = lead(model, labels, config.correlation_window_size)
+        disparity_x16[:, columns] = (labels + config.min_disparity) * X16_STEPS
+        margins[:, columns] = margin(model, labels, config.correlation_window_size)
         if right_labels is not None:
-            _check_right(fixed, reasons, right_labels, config)
-        return finish(fixed, reasons, config, self.step_px, leads)
+            _check_right(disparity_x16, reasons, right_labels, config)
+        return finish(disparity_x16, reasons, config, self.step_px, margins)
 
     def _right_labels(self, left: U8, right: U8) -> I32:
         """Labels of the right image, int32 (H, W), ``NO_LABEL`` where it has none."""
@@ -77,23 +77,23 @@ class LabellingMatcher(SerialMatcher):
         return mirrored[:, ::-1]
 
 
-def _check_right(fixed: I16, reasons: U8, right_labels: I32, config: MatchingConfig) -> None:
+def _check_right(disparity_x16: I16, reasons: U8, right_labels: I32, config: MatchingConfig) -> None:
     """Marks the pixels whose right pixel has no label, or one more than ``disp12_max_diff`` away."""
     rows, columns = np.nonzero(reasons == 0)
-    disparity = fixed[rows, columns] // FIXED_STEPS
+    disparity = disparity_x16[rows, columns] // X16_STEPS
     other = right_labels[rows, columns - disparity]
     agree = (other != NO_LABEL) & (np.abs(other + config.min_disparity - disparity) <= config.disp12_max_diff)
     reasons[rows[~agree], columns[~agree]] = Reason.LEFT_RIGHT
 
 
-def lead(model: StereoModel, labels: I32, window: int) -> F32:
+def margin(model: StereoModel, labels: I32, window: int) -> F32:
     """How much better the costs around a pixel are at its disparity than at the best of the others.
 
     Costs are averaged over a square window; with ``own`` at the label of the pixel and ``other`` at the best label at
     least two away, the lead is other / (own + other): 1 where no other fits, 0.5 where another fits as well.
 
     Args:
-        labels: int32 (H, W), as of ``LabellingMatcher``; the lead of ``NO_LABEL`` has no meaning.
+        labels: int32 (H, W), as of ``GlobalMatcher``; the lead of ``NO_LABEL`` has no meaning.
         window: side, odd, px.
 
     Returns:

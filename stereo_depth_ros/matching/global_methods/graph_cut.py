@@ -14,7 +14,7 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.matching.global_methods.energy import I32, StereoModel, energy
-from stereo_depth_ros.matching.global_methods.global_matcher import LabellingMatcher
+from stereo_depth_ros.matching.global_methods.global_matcher import GlobalMatcher
 
 __all__ = ["GraphCutMatcher"]
 
@@ -23,13 +23,13 @@ TO_RIGHT = np.array([[0, 0, 0], [0, 0, 1], [0, 0, 0]])
 TO_BELOW = np.array([[0, 0, 0], [0, 0, 0], [0, 1, 0]])
 
 
-class GraphCutMatcher(LabellingMatcher):
+class GraphCutMatcher(GlobalMatcher):
     """Alpha-expansion (Boykov, Veksler and Zabih 2001) on the energy of ``energy.py``.
 
     An expansion move lets every pixel choose between its disparity and one other, alpha. The best choice of all pixels
     together is a minimum cut (the graph of Kolmogorov and Zabih 2004, without auxiliary nodes; it exists because the
     penalty is a metric). Moves go through the disparities in rising order, from the pixels' cheapest disparities on,
-    until none lowers the energy, or for ``iterations`` cycles. ``energies`` holds the energy, in grey levels, at the
+    until none lowers the energy, or for ``iterations`` cycles. ``energies`` holds the energy, in gray levels, at the
     start and after each move that lowered it, of the last pair.
 
     Max-flow is PyMaxflow's (Boykov and Kolmogorov 2004), an optional dependency under the GPL.
@@ -65,7 +65,7 @@ class GraphCutMatcher(LabellingMatcher):
         return labels
 
     def _expand(self, model: StereoModel, labels: I32, alpha: int) -> I32:
-        """The labelling of least energy in which every pixel has its label or ``alpha``."""
+        """The labeling of least energy in which every pixel has its label or ``alpha``."""
         keep, change = np.empty((2, *labels.shape), np.int32)
         edges = np.empty((2, *labels.shape), np.int32)
         move = (model.data, model.weights, model.largest_step, labels, alpha)
@@ -96,7 +96,7 @@ def _capacity_rows(
     change: I32,
     edges: I32,
 ) -> None:
-    """Capacities of a graph whose cuts cost what the labellings of a move cost, less a constant.
+    """Capacities of a graph whose cuts cost what the labelings of a move cost, less a constant.
 
     With x = 0 for a pixel p that keeps its label and 1 for one that changes, the energy of an edge pq, E_xp,xq, is
     E00 + (E10 - E00) x_p - E10 x_q + (E01 + E10 - E00) (1 - x_p) x_q, as E11 = 0: a term of each pixel, and one of an
@@ -108,7 +108,7 @@ def _capacity_rows(
             label = labels[y, x]
             own_step = min(abs(label - alpha), largest_step)
             kept, changed = data[y, x, label], data[y, x, alpha]
-            for side in range(2):  # as p: to the right neighbour, to the lower one
+            for side in range(2):  # as p: to the right neighbor, to the lower one
                 weight = weights[side, y, x]
                 edges[side, y, x] = 0
                 if weight > 0:

@@ -12,17 +12,17 @@ from stereo_depth_ros.core.types import U8, MatchResult
 from stereo_depth_ros.matching.costs.birchfield_tomasi import COST_STEPS
 from stereo_depth_ros.matching.filters.hole_filling import fill_holes
 from stereo_depth_ros.matching.global_methods.energy import I32, StereoModel
-from stereo_depth_ros.matching.global_methods.global_matcher import NO_LABEL, LabellingMatcher
+from stereo_depth_ros.matching.global_methods.global_matcher import NO_LABEL, GlobalMatcher
 
 __all__ = ["ScanlineMatcher"]
 
-OCCLUSION = 8.0  # grey levels that a pixel of either image without partner costs
+OCCLUSION = 8.0  # gray levels that a pixel of either image without partner costs
 CONSISTENCY = 1.0  # weight of steps between scanlines against those along them; 0 is every scanline for itself
 FAR = np.int32(2**29)
 MATCH, LEFT_ONLY, RIGHT_ONLY = range(3)
 
 
-class ScanlineMatcher(LabellingMatcher):
+class ScanlineMatcher(GlobalMatcher):
     """Every scanline is the cheapest path through left and right row, in agreement with the scanlines above and below.
 
     Along a scanline (Cox, Hingorani, Rao and Maggs 1996; Belhumeur 1996) a path takes one of three moves: left and
@@ -32,10 +32,10 @@ class ScanlineMatcher(LabellingMatcher):
     edge of the image (as the edges of Bobick and Intille 1999 guide the path).
 
     Across scanlines (Ohta and Kanade 1985) edges that are connected from row to row should keep their disparity. Ohta
-    and Kanade search the path of whole edges in three dimensions; here steps between vertical neighbours cost as in
+    and Kanade search the path of whole edges in three dimensions; here steps between vertical neighbors cost as in
     ``energy.py``, again less across an edge of the image, with "occluded" as one more label
     that is a discontinuity away from every disparity. For each scanline the sum over itself and all columns, which
-    form a tree, is minimised exactly (the tree of Bleyer and Gelautz 2008): the columns first tell what they would
+    form a tree, is minimized exactly (the tree of Bleyer and Gelautz 2008): the columns first tell what they would
     pay for each label of a pixel, then the path is found with these costs.
 
     Pixels occluded in the right image are NO_MATCH. With ``fill_holes`` every pixel has a disparity; those filled have
@@ -64,7 +64,7 @@ class ScanlineMatcher(LabellingMatcher):
 
 @compiled()
 def _pass_on(message: I32, data: I32, y: int, x: int, weight: int, largest_step: int, occlusion: int) -> None:
-    """Turns what pixel (y, x) was told into what it tells its vertical neighbour about each label of that one.
+    """Turns what pixel (y, x) was told into what it tells its vertical neighbor about each label of that one.
 
     The last label is "occluded", ``largest_step`` away from all others. Messages begin at 0: their least costs nothing.
     """
@@ -139,11 +139,11 @@ def _path_rows(first: int, last: int, costs: I32, gaps: I32, occlusion: int, lab
 
     The position of a path is (x, k): it has come to the end of left pixel x and of right pixel x - disparity(k). An
     occluded left pixel moves it to (x + 1, k + 1), an occluded right pixel to (x, k - 1), a match to (x + 1, k). A run
-    of occluded pixels is of one eye, and a match ends it: so the nearer surface of a gap begins with a match.
+    of occluded pixels is of one camera, and a match ends it: so the nearer surface of a gap begins with a match.
 
     Args:
         costs: int32 (H, W, N + 1) of :func:`_column_costs`.
-        gaps: int32 (H, W), cost of ending a run of occluded pixels between a pixel and its right neighbour.
+        gaps: int32 (H, W), cost of ending a run of occluded pixels between a pixel and its right neighbor.
         occlusion: cost of an occluded right pixel.
         labels: int32 (H, W), written.
     """

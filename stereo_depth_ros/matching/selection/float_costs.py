@@ -14,9 +14,9 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
-from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter, disparity_from_fixed
-from stereo_depth_ros.matching.local_consistency import agreement
-from stereo_depth_ros.matching.protocol import FIXED_STEPS
+from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter, disparity_from_x16
+from stereo_depth_ros.matching.local_consistency import local_consistency
+from stereo_depth_ros.matching.protocol import X16_STEPS
 
 __all__ = ["I64", "finish", "median_filter", "select_row"]
 
@@ -36,7 +36,7 @@ def select_row(
     parabola: bool,
     uniqueness: float,
     tolerance: int,
-    fixed: I16,
+    disparity_x16: I16,
     reasons: U8,
 ) -> None:
     """Least cost of every pixel of row ``y``, or the reason against it; for kernels.
@@ -46,7 +46,7 @@ def select_row(
         costs: float32 (W, D), not negative, inf where a hypothesis cannot be judged. Index k is disparity
             ``max_disparity`` - k; of equal costs the largest disparity wins.
         parabola: sub-pixel fit of a parabola (squares, correlations), else of two equal slopes (absolute differences).
-        uniqueness: percent by which the best cost that is no neighbour of the winner must be above it; 0 is no check.
+        uniqueness: percent by which the best cost that is no neighbor of the winner must be above it; 0 is no check.
         tolerance: of the left-right check, px; 0 is no check.
         fixed: int16 (H, W), disparity in 1/16 px where valid.
         reasons: uint8 (H, W): BORDER without a hypothesis in the right image, TEXTURE where none can be judged.
@@ -65,11 +65,11 @@ def select_row(
         for k in range(count):
             if costs[x, k] < second and abs(k - index) > 1:
                 second = costs[x, k]
-        fixed[y, x] = (max_disparity - index) * FIXED_STEPS + _offset(costs, x, index, parabola)
+        disparity_x16[y, x] = (max_disparity - index) * X16_STEPS + _offset(costs, x, index, parabola)
         rejected = uniqueness > 0 and second <= best * (1 + uniqueness / 100)
         reasons[y, x] = UNIQUENESS if rejected else 0
     if tolerance > 0:
-        _check_right(y, costs, max_disparity, tolerance, fixed, reasons)
+        _check_right(y, costs, max_disparity, tolerance, disparity_x16, reasons)
 
 
 @compiled()
@@ -80,11 +80,11 @@ def _offset(costs: F32, x: int, index: int, parabola: bool) -> int:
     # Disparities fall with the index.
     above, here, below = np.float64(costs[x, index - 1]), np.float64(costs[x, index]), np.float64(costs[x, index + 1])
     span = above + below - 2 * here if parabola else max(above, below) - here
-    return int(np.rint((below - above) / (2 * span) * FIXED_STEPS)) if 0 < span < np.inf else 0
+    return int(np.rint((below - above) / (2 * span) * X16_STEPS)) if 0 < span < np.inf else 0
 
 
 @compiled()
-def _check_right(y: int, costs: F32, max_disparity: int, tolerance: int, fixed: I16, reasons: U8) -> None:
+def _check_right(y: int, costs: F32, max_disparity: int, tolerance: int, disparity_x16: I16, reasons: U8) -> None:
     """Marks pixels whose match is claimed at less cost with a disparity more than ``tolerance`` px away."""
     width, count = costs.shape
     preferred = np.zeros(width, np.int64)
@@ -97,13 +97,13 @@ def _check_right(y: int, costs: F32, max_disparity: int, tolerance: int, fixed: 
                 preferred[at] = max_disparity - k
     for x in range(width):
         if reasons[y, x] == 0:
-            disparity = (np.int64(fixed[y, x]) + FIXED_STEPS // 2) // FIXED_STEPS
+            disparity = (np.int64(disparity_x16[y, x]) + X16_STEPS // 2) // X16_STEPS
             at = min(max(x - disparity, 0), width - 1)
             if abs(preferred[at] - disparity) > tolerance:
                 reasons[y, x] = LEFT_RIGHT
 
 
-def median_filter(fixed: I16, reasons: U8, size: int) -> I16:
+def median_filter(disparity_x16: I16, reasons: U8, size: int) -> I16:
     """Median of the valid pixels in a square of odd side ``size`` px (the lower one of an even number).
 
     Args:
@@ -113,20 +113,22 @@ def median_filter(fixed: I16, reasons: U8, size: int) -> I16:
     Returns:
         int16 (H, W), 1/16 px.
     """
-    filtered = fixed.copy()
-    valid = fixed[reasons == 0]
+    filtered = disparity_x16.copy()
+    valid = disparity_x16[reasons == 0]
     if size > 1 and valid.size:
         low, high = int(valid.min()), int(valid.max())
-        run_bands(_median_rows, fixed.shape[0], fixed, reasons, size // 2, low, high - low + 1, filtered)
+        run_bands(
+            _median_rows, disparity_x16.shape[0], disparity_x16, reasons, size // 2, low, high - low + 1, filtered
+        )
     return filtered
 
 
 @compiled("void(int64, int64, int16[:, ::1], uint8[:, ::1], int64, int64, int64, int16[:, ::1])")
 def _median_rows(
-    first: int, last: int, fixed: I16, reasons: U8, half: int, low: int, levels: int, filtered: I16
+    first: int, last: int, disparity_x16: I16, reasons: U8, half: int, low: int, levels: int, filtered: I16
 ) -> None:
     """Sliding histogram (Huang, Yang and Tang 1979): columns enter and leave, the median moves from where it was."""
-    height, width = fixed.shape
+    height, width = disparity_x16.shape
     counts = np.empty(levels, np.int32)
     for y in range(first, last):
         top, bottom = max(0, y - half), min(height, y + half + 1)
@@ -137,7 +139,7 @@ def _median_rows(
                 if 0 <= column < width:
                     for row in range(top, bottom):
                         if reasons[row, column] == 0:
-                            level = np.int64(fixed[row, column]) - low
+                            level = np.int64(disparity_x16[row, column]) - low
                             counts[level] += step
                             total += step
                             below += step if level < median else 0
@@ -153,11 +155,13 @@ def _median_rows(
             filtered[y, x] = median + low
 
 
-def finish(fixed: I16, reasons: U8, config: MatchingConfig, step_px: float, lead: F32 | None = None) -> MatchResult:
-    """Speckles out (``speckle_range`` in px), disparities to pixels; the confidence is their :func:`agreement`."""
-    SpeckleFilter(config.speckle_size, config.speckle_range * FIXED_STEPS)(fixed, reasons)
-    disparity_px = np.empty(fixed.shape, np.float32)
-    disparity_from_fixed(fixed, reasons, disparity_px)
-    if lead is not None:
-        lead[reasons != 0] = 0  # also where holes will be filled
-    return MatchResult(disparity_px, reasons, step_px, functools.partial(agreement, disparity_px, lead))
+def finish(
+    disparity_x16: I16, reasons: U8, config: MatchingConfig, step_px: float, margin: F32 | None = None
+) -> MatchResult:
+    """Speckles removed (``speckle_range`` in px), disparities in px, :func:`local_consistency` as the confidence."""
+    SpeckleFilter(config.speckle_size, config.speckle_range * X16_STEPS)(disparity_x16, reasons)
+    disparity_px = np.empty(disparity_x16.shape, np.float32)
+    disparity_from_x16(disparity_x16, reasons, disparity_px)
+    if margin is not None:
+        margin[reasons != 0] = 0  # also where holes will be filled
+    return MatchResult(disparity_px, reasons, step_px, functools.partial(local_consistency, disparity_px, margin))

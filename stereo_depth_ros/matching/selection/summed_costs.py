@@ -16,18 +16,18 @@ import numpy.typing as npt
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import U8, Reason
 
-__all__ = ["NO_BID", "U32", "least_bid", "left_right_row", "make_bids", "outbid", "second_bid", "subpixel"]
+__all__ = ["NO_KEY", "U32", "least_key", "left_right_row", "lower_keys", "make_keys", "second_key", "subpixel"]
 
 U16: TypeAlias = npt.NDArray[np.uint16]
 U32: TypeAlias = npt.NDArray[np.uint32]
 
-NO_BID = np.uint32(2**32 - 1)
+NO_KEY = np.uint32(2**32 - 1)
 _ONE, _TWO, _SHIFT, _INDEX = np.uint32(1), np.uint32(2), np.uint32(16), np.uint32(0xFFFF)
 _LEFT_RIGHT = np.uint8(Reason.LEFT_RIGHT)
 
 
 @compiled(allocates=False)
-def make_bids(totals: U16, path: U8, ramp: U32, bids: U32) -> None:
+def make_keys(totals: U16, path: U8, ramp: U32, keys: U32) -> None:
     """Bids of a pixel from its totals and the last path.
 
     Args:
@@ -36,47 +36,47 @@ def make_bids(totals: U16, path: U8, ramp: U32, bids: U32) -> None:
         ramp: uint32 (K,), 0, 1, 2 ...
         bids: uint32 (K,), written.
     """
-    for k in range(bids.size):
-        bids[k] = np.uint32(np.uint32(np.uint32(totals[k]) + np.uint32(path[k + 1])) << _SHIFT) | ramp[k]
+    for k in range(keys.size):
+        keys[k] = np.uint32(np.uint32(np.uint32(totals[k]) + np.uint32(path[k + 1])) << _SHIFT) | ramp[k]
 
 
 @compiled(allocates=False)
-def least_bid(bids: U32) -> np.uint32:
+def least_key(keys: U32) -> np.uint32:
     """The best of the bids of a pixel."""
-    least = NO_BID
-    for k in range(bids.size):
-        least = min(least, bids[k])
+    least = NO_KEY
+    for k in range(keys.size):
+        least = min(least, keys[k])
     return least
 
 
 @compiled(allocates=False)
-def second_bid(bids: U32, ramp: U32, best: int) -> np.uint32:
+def second_key(keys: U32, ramp: U32, best: int) -> np.uint32:
     """The best of the bids that are at least two indices away from ``best``."""
-    second = NO_BID
+    second = NO_KEY
     below = np.uint32(np.uint32(best) - _ONE)
-    for k in range(bids.size):
-        second = min(second, bids[k] if np.uint32(ramp[k] - below) > _TWO else NO_BID)
+    for k in range(keys.size):
+        second = min(second, keys[k] if np.uint32(ramp[k] - below) > _TWO else NO_KEY)
     return second
 
 
 @compiled(allocates=False)
-def outbid(bids: U32, right_bids: U32) -> None:
+def lower_keys(keys: U32, right_keys: U32) -> None:
     """Lets every disparity of a left pixel bid for its right pixel."""
-    for k in range(bids.size):
-        right_bids[k] = min(right_bids[k], bids[k])
+    for k in range(keys.size):
+        right_keys[k] = min(right_keys[k], keys[k])
 
 
 @compiled(allocates=False)
-def subpixel(bids: U32, best: int) -> float:
+def subpixel(keys: U32, best: int) -> float:
     """Sub-pixel part of the index, -0.5..0.5: where two lines of equal and opposite slope through three costs meet.
 
     That place u is drawn towards whole pixels; u (1 + (1 - 4 u^2) / 4) undoes it on average (the form of an
     interpolation function after Haller and Nedevschi, "Design of interpolation functions for subpixel-accuracy
     stereo-vision systems", TIP 2012; the factor is from a histogram of real disparities).
     """
-    if best == 0 or best == bids.size - 1 or bids[best - 1] == NO_BID or bids[best + 1] == NO_BID:
+    if best == 0 or best == keys.size - 1 or keys[best - 1] == NO_KEY or keys[best + 1] == NO_KEY:
         return 0.0
-    before, here, after = bids[best - 1] >> _SHIFT, bids[best] >> _SHIFT, bids[best + 1] >> _SHIFT
+    before, here, after = keys[best - 1] >> _SHIFT, keys[best] >> _SHIFT, keys[best + 1] >> _SHIFT
     height = np.float64(max(before, after)) - np.float64(here)
     if height <= 0:
         return 0.0
@@ -85,16 +85,16 @@ def subpixel(bids: U32, best: int) -> float:
 
 
 @compiled(allocates=False)
-def left_right_row(best: U16, right_bids: U32, tolerance: int, reasons: U8) -> None:
+def left_right_row(best: U16, right_keys: U32, tolerance: int, reasons: U8) -> None:
     """Marks the pixels of a row whose right pixel prefers another disparity by more than ``tolerance`` px.
 
     Args:
         best: uint16 (W,), the index of each left pixel; index k of left pixel x bids for right pixel x + k.
-        right_bids: uint32 (W + K,), the best bid for each right pixel.
+        right_keys: uint32 (W + K,), the best bid for each right pixel.
         reasons: uint8 (W,), 0 where there is a match.
     """
     for x in range(best.size):
         if reasons[x] == 0:
             k = np.int64(best[x])
-            if abs(np.int64(right_bids[x + k] & _INDEX) - k) > tolerance:
+            if abs(np.int64(right_keys[x + k] & _INDEX) - k) > tolerance:
                 reasons[x] = _LEFT_RIGHT

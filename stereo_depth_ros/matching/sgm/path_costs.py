@@ -70,7 +70,7 @@ def step_row(
     Args:
         image, image_before: uint8 (W,), rows of the left image, this and the one before.
         cost: uint8 (W, K), matching costs of this row.
-        P2: uint8 (256,), the penalty by the grey difference of the two pixels.
+        P2: uint8 (256,), the penalty by the gray difference of the two pixels.
         before, least_before: uint8 (W, K + 2) and (W,), path costs of the row before and the least of each pixel.
         after, least_after: the same of this row, written.
     """

@@ -15,9 +15,9 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import U8, MatchResult, Reason
-from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter, disparity_from_fixed
-from stereo_depth_ros.matching.local_consistency import agreement
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter, disparity_from_x16
+from stereo_depth_ros.matching.local_consistency import local_consistency
+from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
 
 __all__ = ["SemiGlobalBlockMatcher", "penalties"]
@@ -43,7 +43,7 @@ class SemiGlobalBlockMatcher(SerialMatcher):
     """
 
     name = "sgbm"
-    step_px = 1 / FIXED_STEPS
+    step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where OpenCV would crash or return wrong disparities with these parameters."""
@@ -56,9 +56,9 @@ class SemiGlobalBlockMatcher(SerialMatcher):
                 f"uniqueness_ratio = {config.uniqueness_ratio:g} divides by zero in sgbm_mode 2: take 99 or less"
             )
         super().__init__(config)
-        self._invalid = (config.min_disparity - 1) * FIXED_STEPS
-        self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * FIXED_STEPS)
-        self._fixed: I16 = np.empty((0, 0), np.int16)
+        self._invalid = (config.min_disparity - 1) * X16_STEPS
+        self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * X16_STEPS)
+        self._disparity_x16: I16 = np.empty((0, 0), np.int16)
         self._sgbm = cv2.StereoSGBM.create(
             minDisparity=config.min_disparity,
             numDisparities=config.num_disparities,
@@ -78,15 +78,15 @@ class SemiGlobalBlockMatcher(SerialMatcher):
         check_pair(left, right, config)
         disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
-        if self._fixed.shape != left.shape:
-            self._fixed = np.empty(left.shape, np.int16)
-        self._sgbm.compute(left, right, self._fixed)
+        if self._disparity_x16.shape != left.shape:
+            self._disparity_x16 = np.empty(left.shape, np.int16)
+        self._sgbm.compute(left, right, self._disparity_x16)
         begin = max(0, config.max_disparity + 1)
         end = left.shape[1] + min(0, config.min_disparity)
-        run_bands(_reason_rows, left.shape[0], self._fixed, self._invalid, begin, end, reasons)
-        self._speckle_filter(self._fixed, reasons)
-        disparity_from_fixed(self._fixed, reasons, disparity_px)
-        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px))
+        run_bands(_reason_rows, left.shape[0], self._disparity_x16, self._invalid, begin, end, reasons)
+        self._speckle_filter(self._disparity_x16, reasons)
+        disparity_from_x16(self._disparity_x16, reasons, disparity_px)
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(local_consistency, disparity_px))
 
 
 def penalties(config: MatchingConfig) -> tuple[int, int]:
@@ -101,7 +101,7 @@ def penalties(config: MatchingConfig) -> tuple[int, int]:
 
 
 def _largest_pixel_cost(config: MatchingConfig) -> int:
-    return 2 * config.prefilter_cap + 63  # gradient, and grey / 4
+    return 2 * config.prefilter_cap + 63  # gradient, and gray / 4
 
 
 def _check_window(config: MatchingConfig) -> None:
@@ -116,8 +116,8 @@ def _check_window(config: MatchingConfig) -> None:
 
 
 @compiled("void(int64, int64, int16[:, ::1], int64, int64, int64, uint8[:, ::1])")
-def _reason_rows(first: int, last: int, fixed: I16, invalid: int, begin: int, end: int, reasons: U8) -> None:
+def _reason_rows(first: int, last: int, disparity_x16: I16, invalid: int, begin: int, end: int, reasons: U8) -> None:
     for y in range(first, last):
-        for x in range(fixed.shape[1]):
+        for x in range(disparity_x16.shape[1]):
             outside = BORDER if x < begin or x >= end else NO_MATCH
-            reasons[y, x] = 0 if fixed[y, x] != invalid else outside
+            reasons[y, x] = 0 if disparity_x16[y, x] != invalid else outside

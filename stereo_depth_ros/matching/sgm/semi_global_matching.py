@@ -17,7 +17,7 @@ from stereo_depth_ros.matching.costs.census import CENSUS_BITS, U64, census_rows
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.filters.hole_filling import fill_holes
 from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter
-from stereo_depth_ros.matching.local_consistency import agreement
+from stereo_depth_ros.matching.local_consistency import local_consistency
 from stereo_depth_ros.matching.protocol import check_pair
 from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST
@@ -32,7 +32,7 @@ from stereo_depth_ros.matching.sgm.strips import (
 
 __all__ = ["SemiGlobalMatcher"]
 
-EDGE_GREY_LEVELS = 6.0  # at this difference of neighbours P2 is halved
+EDGE_GRAY_LEVELS = 6.0  # at this difference of neighbors P2 is halved
 UNIQUENESS_SHARE = 1 / 3  # of uniqueness_ratio: sums over paths differ less than the window sums that it is made for
 STRIP_BYTES = 24 << 20  # of costs; smaller ones stay in the cache, larger ones have less approach
 APPROACH_ROWS = 16
@@ -68,7 +68,7 @@ class SemiGlobalMatcher(SerialMatcher):
         super().__init__(config)
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * SPECKLE_STEPS_PER_PX)
         self._disparity_filter = DisparityFilter(config.disparity_filter, self.step_px)
-        lowered = config.sgm_P2 * EDGE_GREY_LEVELS / (EDGE_GREY_LEVELS + np.arange(256))
+        lowered = config.sgm_P2 * EDGE_GRAY_LEVELS / (EDGE_GRAY_LEVELS + np.arange(256))
         self._search = Search(
             max_disparity=config.max_disparity,
             uniqueness=UNIQUENESS_SHARE * config.uniqueness_ratio / 100,
@@ -84,22 +84,24 @@ class SemiGlobalMatcher(SerialMatcher):
         check_pair(left, right, self.config, partial=True)
         disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
-        lead = np.empty(left.shape, np.float32)
+        margin = np.empty(left.shape, np.float32)
         if self._census.shape[1:] != left.shape:
             self._allocate(*left.shape)
         left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         run_bands(census_rows, len(left), left, self._census[0])
         run_bands(census_rows, len(left), right, self._census[1])
-        output = Output(disparity_px, self._coarse, reasons, lead)
+        output = Output(disparity_px, self._coarse, reasons, margin)
         bands = len(self._scratch.raw)
         given = (left, self._census, self._search)
         run_bands(match_bands, bands, bands, self._strips, *given, self._scratch, output, min_rows=1)
         self._speckle_filter(self._coarse, reasons)
-        run_bands(_reject_rows, len(left), reasons, disparity_px, lead)
+        run_bands(_reject_rows, len(left), reasons, disparity_px, margin)
         self._disparity_filter(disparity_px)
         if self.config.fill_holes:
             fill_holes(disparity_px, reasons)
-        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px, lead))
+        return MatchResult(
+            disparity_px, reasons, self.step_px, functools.partial(local_consistency, disparity_px, margin)
+        )
 
     def _allocate(self, height: int, width: int) -> None:
         count = self.config.num_disparities
@@ -123,9 +125,9 @@ def _check_penalties(config: MatchingConfig) -> None:
 
 
 @compiled("void(int64, int64, uint8[:, ::1], float32[:, ::1], float32[:, ::1])")
-def _reject_rows(first: int, last: int, reasons: U8, disparity_px: F32, lead: F32) -> None:
+def _reject_rows(first: int, last: int, reasons: U8, disparity_px: F32, margin: F32) -> None:
     for y in range(first, last):
         for x in range(reasons.shape[1]):
             if reasons[y, x]:
                 disparity_px[y, x] = _NAN
-                lead[y, x] = 0
+                margin[y, x] = 0

@@ -19,14 +19,14 @@ from stereo_depth_ros.core.types import F32, U8, Reason
 from stereo_depth_ros.matching.costs.census import U64, cost_rows
 from stereo_depth_ros.matching.filters.speckle_filter import I16
 from stereo_depth_ros.matching.selection.summed_costs import (
-    NO_BID,
+    NO_KEY,
     U16,
     U32,
-    least_bid,
+    least_key,
     left_right_row,
-    make_bids,
-    outbid,
-    second_bid,
+    lower_keys,
+    make_keys,
+    second_key,
     subpixel,
 )
 from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST, path_step, start_path, step_row
@@ -44,7 +44,7 @@ class Search(NamedTuple):
     """What is searched and required.
 
     ``uniqueness`` is the least lead over the second best, ``tolerance`` that of the left-right check in px; P2 by the
-    grey difference of neighbours; ramp is 0, 1, 2 ...; vertical paths begin ``approach_rows`` off the strip.
+    gray difference of neighbors; ramp is 0, 1, 2 ...; vertical paths begin ``approach_rows`` off the strip.
     """
 
     max_disparity: int
@@ -71,8 +71,8 @@ class Scratch(NamedTuple):
     least_down: U8  # (directions, 2, W) the least path cost of each pixel, of two rows in turn
     least_up: U8
     totals: U16  # (W, K) sums of path costs
-    bids: U32  # (K,)
-    right_bids: U32  # (W + K,)
+    keys: U32  # (K,)
+    right_keys: U32  # (W + K,)
     best: U16  # (W,)
 
     @classmethod
@@ -91,8 +91,8 @@ class Scratch(NamedTuple):
             least_down=_on_pages((bands, directions, 2, width), np.uint8),
             least_up=_on_pages((bands, directions, 2, width), np.uint8),
             totals=_on_pages((bands, width, count), np.uint16),
-            bids=_on_pages((_APART * bands, count), np.uint32),
-            right_bids=_on_pages((bands, width + count), np.uint32),
+            keys=_on_pages((_APART * bands, count), np.uint32),
+            right_keys=_on_pages((bands, width + count), np.uint32),
             best=_on_pages((bands, width), np.uint16),
         )
 
@@ -113,7 +113,7 @@ class Output(NamedTuple):
     disparity_px: F32
     coarse: I16
     reasons: U8
-    lead: F32
+    margin: F32
 
 
 @compiled(allocates=False)
@@ -145,36 +145,36 @@ def _sum_row(image: U8, i: int, search: Search, scratch: Scratch) -> None:
 
 
 @compiled(allocates=False)
-def _limit_bids(bids: U32, at: int, width: int) -> bool:
+def _limit_keys(keys: U32, at: int, width: int) -> bool:
     """Takes out bids for right pixels outside the image; index 0 is right column ``at``. True if any is left."""
-    begin, end = min(max(-at, 0), bids.size), max(min(width - at, bids.size), 0)
-    if begin > 0 or end < bids.size:
-        bids[:begin] = NO_BID
-        bids[end:] = NO_BID
+    begin, end = min(max(-at, 0), keys.size), max(min(width - at, keys.size), 0)
+    if begin > 0 or end < keys.size:
+        keys[:begin] = NO_KEY
+        keys[end:] = NO_KEY
     return begin < end
 
 
 @compiled(allocates=False)
-def _take_winner(bids: U32, x: int, y: int, search: Search, best: U16, output: Output) -> None:
-    winner = least_bid(bids)
+def _take_winner(keys: U32, x: int, y: int, search: Search, best: U16, output: Output) -> None:
+    winner = least_key(keys)
     at = int(winner & _INDEX)
     first = np.float32(winner >> _TOTAL)
-    rival = second_bid(bids, search.ramp, at)
-    second = first if rival == NO_BID else np.float32(rival >> _TOTAL)  # who wins for want of a rival has no lead
-    lead = (second - first) / max(second, np.float32(1))
-    index = np.rint((at + subpixel(bids, at)) * STEPS_PER_PX) / STEPS_PER_PX
+    rival = second_key(keys, search.ramp, at)
+    second = first if rival == NO_KEY else np.float32(rival >> _TOTAL)  # who wins for want of a rival has no lead
+    margin = (second - first) / max(second, np.float32(1))
+    index = np.rint((at + subpixel(keys, at)) * STEPS_PER_PX) / STEPS_PER_PX
     best[x] = at
     output.disparity_px[y, x] = search.max_disparity - index
-    output.coarse[y, x] = np.int16((bids.size - 1 - index) * SPECKLE_STEPS_PER_PX)
-    output.lead[y, x] = lead
-    output.reasons[y, x] = _UNIQUENESS if lead < search.uniqueness else 0
+    output.coarse[y, x] = np.int16((keys.size - 1 - index) * SPECKLE_STEPS_PER_PX)
+    output.margin[y, x] = margin
+    output.reasons[y, x] = _UNIQUENESS if margin < search.uniqueness else 0
 
 
 @compiled(allocates=False)
 def _winners_row(image: U8, i: int, y: int, search: Search, scratch: Scratch, output: Output) -> None:
     """Adds the path from the right to the totals of row ``i`` of the strip and takes the winners of image row ``y``."""
     width = image.size
-    scratch.right_bids[:] = NO_BID
+    scratch.right_keys[:] = NO_KEY
     least = np.uint8(0)
     for j in range(width):
         x = width - 1 - j
@@ -184,13 +184,13 @@ def _winners_row(image: U8, i: int, y: int, search: Search, scratch: Scratch, ou
         else:
             P2 = search.P2[_edge(image, x, x + 1)]
             least = path_step(scratch.along[1 - x % 2], least, scratch.cost[i, x], search.P1, P2, path)
-        make_bids(scratch.totals[x], path, search.ramp, scratch.bids)
-        if _limit_bids(scratch.bids, x - search.max_disparity, width):
-            outbid(scratch.bids, scratch.right_bids[x : x + scratch.bids.size])
-            _take_winner(scratch.bids, x, y, search, scratch.best, output)
+        make_keys(scratch.totals[x], path, search.ramp, scratch.keys)
+        if _limit_keys(scratch.keys, x - search.max_disparity, width):
+            lower_keys(scratch.keys, scratch.right_keys[x : x + scratch.keys.size])
+            _take_winner(scratch.keys, x, y, search, scratch.best, output)
         else:
             output.reasons[y, x] = _BORDER
-    left_right_row(scratch.best, scratch.right_bids, search.tolerance, output.reasons[y])
+    left_right_row(scratch.best, scratch.right_keys, search.tolerance, output.reasons[y])
 
 
 @compiled(allocates=False)
@@ -266,8 +266,8 @@ def match_bands(
             scratch.least_down[band],
             scratch.least_up[band],
             scratch.totals[band],
-            scratch.bids[_APART * band],
-            scratch.right_bids[band],
+            scratch.keys[_APART * band],
+            scratch.right_keys[band],
             scratch.best[band],
         )
         for strip in range(band * strips // bands, (band + 1) * strips // bands):

@@ -14,7 +14,7 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.matching.filters.speckle_filter import I16
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair
+from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair
 from stereo_depth_ros.matching.selection.float_costs import I64, finish, median_filter
 from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.window.adaptive_window_kernel import Maps, distances, grow_window, scratch
@@ -31,8 +31,8 @@ MEDIAN_SIDE = 5
 class AdaptiveWindowMatcher(SerialMatcher):
     """Adaptive window (Kanade and Okutomi 1991, 1994) around the disparities of :class:`WindowMatcher`.
 
-    A pixel at distance r from the window's centre, whose disparity may differ from the centre's, has the difference of
-    grey values I - J with variance s^2(r) = 2 sigma^2 + af ad r: af is the power of the gradient J' in the window, ad
+    A pixel at distance r from the window's center, whose disparity may differ from the center's, has the difference of
+    gray values I - J with variance s^2(r) = 2 sigma^2 + af ad r: af is the power of the gradient J' in the window, ad
     the mean of (d - d_centre)^2 / r. The increment of the disparity and its variance are
     sum (J - I) J' / s^2 / sum J'^2 / s^2 and 1 / sum J'^2 / s^2. The window begins as 3 x 3 and grows by one pixel in
     the direction that leaves the least variance, until every direction would raise it, leaves an image or meets a
@@ -49,7 +49,7 @@ class AdaptiveWindowMatcher(SerialMatcher):
       of (I - J)^2 / s^2 + log s^2 behind the increment is least.
 
     Distances are rounded to whole pixels, so that a window is known from few sums; increments are limited to 1 px;
-    between iterations goes a 5 x 5 median, as one that strayed would keep its neighbours' windows small. Pixels whose
+    between iterations goes a 5 x 5 median, as one that strayed would keep its neighbors' windows small. Pixels whose
     3 x 3 window leaves an image keep their disparity. A window has one disparity and may be longer on one side: slanted
     surfaces come out rough (off by 0.11 px on average at a slant of 0.05, where a fixed window is by 0.04).
 
@@ -59,7 +59,7 @@ class AdaptiveWindowMatcher(SerialMatcher):
     """
 
     name = "adaptive_window"
-    step_px = 1 / FIXED_STEPS
+    step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""
@@ -72,8 +72,8 @@ class AdaptiveWindowMatcher(SerialMatcher):
     def _match(self, left: U8, right: U8) -> MatchResult:
         check_pair(left, right, self.config)
         initial, checked = self._initial.match(left, right), self._checked.match(left, right)
-        fixed = self._refine(left, right, initial)
-        return finish(fixed, checked.reasons, self.config, self.step_px)
+        disparity_x16 = self._refine(left, right, initial)
+        return finish(disparity_x16, checked.reasons, self.config, self.step_px)
 
     def _refine(self, left: U8, right: U8, initial: MatchResult) -> I16:
         """Disparities in 1/16 px after all iterations, 0 where the initial ones are invalid."""
@@ -86,10 +86,10 @@ class AdaptiveWindowMatcher(SerialMatcher):
         for _ in range(ITERATIONS):
             run_bands(_refine_rows, left.shape[0], (*images, slope, before), *tables, after)
             np.clip(after, self.config.min_disparity, self.config.max_disparity, out=after)
-            fixed = np.where(invalid, 0, np.rint(after * FIXED_STEPS)).astype(np.int16)
-            fixed = median_filter(fixed, invalid, MEDIAN_SIDE)
-            before = np.where(invalid, np.float32(np.nan), fixed / np.float32(FIXED_STEPS))
-        return fixed
+            disparity_x16 = np.where(invalid, 0, np.rint(after * X16_STEPS)).astype(np.int16)
+            disparity_x16 = median_filter(disparity_x16, invalid, MEDIAN_SIDE)
+            before = np.where(invalid, np.float32(np.nan), disparity_x16 / np.float32(X16_STEPS))
+        return disparity_x16
 
 
 @compiled(
@@ -117,10 +117,10 @@ def _refine_rows(
                 column = x + SURFACE_DISTANCE * ((candidate == 4) - (candidate == 3))
                 if row < 0 or row >= height or column < 0 or column >= width:
                     continue
-                centre = before[row, column]
-                if candidate > 0 and not abs(centre - own) > LARGEST_STEP_PX:
+                center = before[row, column]
+                if candidate > 0 and not abs(center - own) > LARGEST_STEP_PX:
                     continue
-                increment, surprise = grow_window(maps, centre, y, x, inverse, rings, sums, extent, closed)
+                increment, surprise = grow_window(maps, center, y, x, inverse, rings, sums, extent, closed)
                 if surprise < least:
                     least = surprise
-                    after[y, x] = centre + min(max(increment, -LARGEST_STEP_PX), LARGEST_STEP_PX)
+                    after[y, x] = center + min(max(increment, -LARGEST_STEP_PX), LARGEST_STEP_PX)

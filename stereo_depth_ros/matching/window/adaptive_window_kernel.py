@@ -17,9 +17,9 @@ __all__ = ["Maps", "distances", "grow_window", "scratch"]
 Maps: TypeAlias = tuple[F32, F32, F32, F32]  # (H, W): left, right, slope of the right along the row, disparity
 
 REACH = 10  # px a window may grow in each direction: at most 21 x 21
-NOISE_POWER = np.float32(2)  # 2 sigma^2 of the grey values of one camera: sigma is one grey level
+NOISE_POWER = np.float32(2)  # 2 sigma^2 of the gray values of one camera: sigma is one gray level
 
-# What is summed over the pixels of each ring around the centre, and over all of them behind the last ring.
+# What is summed over the pixels of each ring around the center, and over all of them behind the last ring.
 RESIDUAL, GRADIENT, CROSS, POWER, SQUARE, COUNT, SPREAD = range(7)
 TERMS = 7
 RINGS = TOTAL = round(REACH * 2**0.5) + 1
@@ -28,7 +28,7 @@ WINDOW = 4  # sides 0..3 are up, down, left, right; behind them, the window itse
 
 
 def distances() -> tuple[F32, I64]:
-    """1 / r (0 at the centre) and r rounded, of the pixels that are up to REACH rows and columns away."""
+    """1 / r (0 at the center) and r rounded, of the pixels that are up to REACH rows and columns away."""
     away = np.arange(REACH + 1)
     distance = np.hypot(away[:, None], away)
     inverse = np.divide(1, distance, out=np.zeros_like(distance), where=distance > 0)
@@ -42,9 +42,9 @@ def scratch(count: int) -> tuple[F32, I64]:
 
 @compiled(allocates=False)
 def grow_window(
-    maps: Maps, centre: float, y: int, x: int, inverse: F32, rings: I64, sums: F32, extent: I64, closed: I64
+    maps: Maps, center: float, y: int, x: int, inverse: F32, rings: I64, sums: F32, extent: I64, closed: I64
 ) -> tuple[np.float32, np.float32]:
-    """Grows the window around (y, x) as far as the disparity ``centre`` gets more certain.
+    """Grows the window around (y, x) as far as the disparity ``center`` gets more certain.
 
     Args:
         inverse, rings: of :func:`distances`.
@@ -57,12 +57,12 @@ def grow_window(
     sums[:] = 0
     for row in range(y - 1, y + 2):
         for column in range(x - 1, x + 2):
-            if not _add_pixel(maps, centre, y, x, row, column, inverse, rings, window):
+            if not _add_pixel(maps, center, y, x, row, column, inverse, rings, window):
                 return np.float32(0), np.float32(np.inf)
     precision = _precision(window, sums[0])
     extent[:] = 1
     for side in range(4):
-        closed[side] = not _add_strip(maps, centre, y, x, extent, side, inverse, rings, sums[side])
+        closed[side] = not _add_strip(maps, center, y, x, extent, side, inverse, rings, sums[side])
     best = 0
     while best >= 0:
         best, best_precision = -1, precision
@@ -74,7 +74,7 @@ def grow_window(
                     best, best_precision = side, found
         if best >= 0:
             precision = best_precision
-            _take_side(maps, centre, y, x, extent, best, inverse, rings, sums, closed)
+            _take_side(maps, center, y, x, extent, best, inverse, rings, sums, closed)
     sums[0] = 0
     return _estimate(window, sums[0])
 
@@ -82,7 +82,7 @@ def grow_window(
 @compiled(allocates=False)
 def _take_side(
     maps: Maps,
-    centre: float,
+    center: float,
     y: int,
     x: int,
     extent: I64,
@@ -97,17 +97,17 @@ def _take_side(
         for ring in range(RINGS + 1):
             sums[WINDOW, term, ring] += sums[side, term, ring]
     extent[side] += 1
-    closed[side] = not _add_strip(maps, centre, y, x, extent, side, inverse, rings, sums[side])
+    closed[side] = not _add_strip(maps, center, y, x, extent, side, inverse, rings, sums[side])
     end = extent[side] if side % 2 else -extent[side]
     for across in range(2 - side // 2 * 2, 4 - side // 2 * 2):  # strips that are one pixel longer now
         if not closed[across]:
             row, column = _beside(y, x, extent, across, end)
-            closed[across] = not _add_pixel(maps, centre, y, x, row, column, inverse, rings, sums[across])
+            closed[across] = not _add_pixel(maps, center, y, x, row, column, inverse, rings, sums[across])
 
 
 @compiled(allocates=False)
 def _add_strip(
-    maps: Maps, centre: float, y: int, x: int, extent: I64, side: int, inverse: F32, rings: I64, sums: F32
+    maps: Maps, center: float, y: int, x: int, extent: I64, side: int, inverse: F32, rings: I64, sums: F32
 ) -> bool:
     """Sums the row or column next to the window on one side; false where it cannot be taken."""
     sums[:] = 0
@@ -116,33 +116,33 @@ def _add_strip(
     across = 2 - side // 2 * 2  # the first of the two sides that the strip goes from and to
     for along in range(-extent[across], extent[across + 1] + 1):
         row, column = _beside(y, x, extent, side, along)
-        if not _add_pixel(maps, centre, y, x, row, column, inverse, rings, sums):
+        if not _add_pixel(maps, center, y, x, row, column, inverse, rings, sums):
             return False
     return True
 
 
 @compiled(allocates=False)
 def _beside(y: int, x: int, extent: I64, side: int, along: int) -> tuple[int, int]:
-    """Row and column next to the window on one side, ``along`` px along the side from the centre."""
+    """Row and column next to the window on one side, ``along`` px along the side from the center."""
     outside = (extent[side] + 1) * (2 * (side % 2) - 1)
     return (y + outside, x + along) if side < 2 else (y + along, x + outside)
 
 
 @compiled(allocates=False)
 def _add_pixel(
-    maps: Maps, centre: float, y: int, x: int, row: int, column: int, inverse: F32, rings: I64, sums: F32
+    maps: Maps, center: float, y: int, x: int, row: int, column: int, inverse: F32, rings: I64, sums: F32
 ) -> bool:
     """Adds a pixel to sums of the window around (y, x); false where no window can hold it."""
     left, right, slope, disparity = maps
     height, width = left.shape
-    shift = np.int64(np.ceil(centre))
+    shift = np.int64(np.ceil(center))
     at = column - shift  # what is sought in the right image lies between this column and the next
     if row < 0 or row >= height or column < 0 or column >= width or at < 1 or at > width - 3:
         return False
-    difference = disparity[row, column] - centre
+    difference = disparity[row, column] - center
     if np.isnan(difference):
         return False
-    t = np.float32(shift - centre)
+    t = np.float32(shift - center)
     residual = right[row, at] + t * (right[row, at + 1] - right[row, at]) - left[row, column]
     gradient = slope[row, at] + t * (slope[row, at + 1] - slope[row, at])
     down, aside = abs(row - y), abs(column - x)

@@ -15,9 +15,9 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.types import U8, MatchResult, Reason
-from stereo_depth_ros.matching.filters.speckle_filter import I16, I32, SpeckleFilter, disparity_from_fixed
-from stereo_depth_ros.matching.local_consistency import agreement
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.filters.speckle_filter import I16, I32, SpeckleFilter, disparity_from_x16
+from stereo_depth_ros.matching.local_consistency import local_consistency
+from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
 
 __all__ = ["BlockMatcher"]
@@ -45,7 +45,7 @@ class BlockMatcher(SerialMatcher):
     """
 
     name = "bm"
-    step_px = 1 / FIXED_STEPS
+    step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""
@@ -56,28 +56,28 @@ class BlockMatcher(SerialMatcher):
         # An empty array that tells the kernel in which type to sum: 16 bits are twice as many at once.
         self._sum_type: Sums = np.empty(0, np.uint16) if largest_sum < 2**16 else np.empty(0, np.uint32)
         self._filtered: U8 = np.empty((2, 0, 0), np.uint8)
-        self._fixed: I16 = np.empty((0, 0), np.int16)
+        self._disparity_x16: I16 = np.empty((0, 0), np.int16)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
         check_pair(left, right, config)
         disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
-        if self._fixed.shape != left.shape:
+        if self._disparity_x16.shape != left.shape:
             self._filtered = np.empty((2, *left.shape), np.uint8)
-            self._fixed = np.zeros(left.shape, np.int16)
+            self._disparity_x16 = np.zeros(left.shape, np.int16)
         rows = left.shape[0]
         images = (np.ascontiguousarray(left), np.ascontiguousarray(right))
         run_bands(_prefilter_rows, rows, *images, config.prefilter_cap, self._filtered)
         search = (config.correlation_window_size // 2, config.min_disparity, config.num_disparities)
         tests = (config.texture_threshold, round(config.uniqueness_ratio), config.disp12_max_diff)
-        buffers = (self._sum_type, self._fixed, reasons)
+        buffers = (self._sum_type, self._disparity_x16, reasons)
         values = (self._filtered, config.prefilter_cap, *search, *tests, *buffers)
         # Every band begins by summing a whole window height.
         run_bands(_match_rows, rows, *values, min_rows=max(64, 2 * config.correlation_window_size))
-        self._speckle_filter(self._fixed, reasons)
-        disparity_from_fixed(self._fixed, reasons, disparity_px)
-        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(agreement, disparity_px))
+        self._speckle_filter(self._disparity_x16, reasons)
+        disparity_from_x16(self._disparity_x16, reasons, disparity_px)
+        return MatchResult(disparity_px, reasons, self.step_px, functools.partial(local_consistency, disparity_px))
 
 
 @compiled()
@@ -140,7 +140,7 @@ def _search_row(
     max_disparity: int,
     texture: int,
     uniqueness: int,
-    fixed: I16,
+    disparity_x16: I16,
     costs: I32,
     reasons: U8,
 ) -> None:
@@ -178,29 +178,29 @@ def _search_row(
         inner = 0 < index < last
         others = near - 1 - (index > 0 and before <= limit) - (index < last and after <= limit)
         offset = _offset(before, np.int64(best), after) if inner else 0
-        fixed[y, x] = (max_disparity - index) * 256 + offset + 15 >> 4
+        disparity_x16[y, x] = (max_disparity - index) * 256 + offset + 15 >> 4
         costs[x] = best
         reasons[y, x] = UNIQUENESS if uniqueness > 0 and others > 0 else 0
 
 
 @compiled()
-def _check_right(fixed: I16, reasons: U8, costs: I32, y: int, tolerance: int) -> None:
+def _check_right(disparity_x16: I16, reasons: U8, costs: I32, y: int, tolerance: int) -> None:
     """Marks pixels of one row whose match prefers a left pixel more than ``tolerance`` px away, at both roundings."""
-    width = fixed.shape[1]
+    width = disparity_x16.shape[1]
     right_costs = np.full(width, np.int32(2**31 - 1))
-    right_fixed = np.zeros(width, np.int16)
+    right_x16 = np.zeros(width, np.int16)
     for x in range(width):
         if reasons[y, x] == 0:
-            at = x - (fixed[y, x] + 8 >> 4)
+            at = x - (disparity_x16[y, x] + 8 >> 4)
             if costs[x] < right_costs[at]:
                 right_costs[at] = costs[x]
-                right_fixed[at] = fixed[y, x]
+                right_x16[at] = disparity_x16[y, x]
     for x in range(width):
         if reasons[y, x] == 0:
             disagree = True
-            for at in (x - (fixed[y, x] >> 4), x - (fixed[y, x] + 15 >> 4)):
+            for at in (x - (disparity_x16[y, x] >> 4), x - (disparity_x16[y, x] + 15 >> 4)):
                 known = 0 <= at < width and right_costs[at] < 2**31 - 1
-                disagree &= known and abs(np.int32(right_fixed[at]) - fixed[y, x]) > 16 * tolerance
+                disagree &= known and abs(np.int32(right_x16[at]) - disparity_x16[y, x]) > 16 * tolerance
             if disagree:
                 reasons[y, x] = LEFT_RIGHT
 
@@ -223,7 +223,7 @@ def _match_rows(
     uniqueness: int,
     tolerance: int,
     sum_type: Sums,
-    fixed: I16,
+    disparity_x16: I16,
     reasons: U8,
 ) -> None:
     """Disparities of a band of rows, or the reason against them.
@@ -234,7 +234,7 @@ def _match_rows(
     loops write one array each, their indices are unsigned (no wrap-around of negative ones), and no view of an array is
     made per pixel (it would count references across threads).
     """
-    height, width = fixed.shape
+    height, width = disparity_x16.shape
     max_disparity = min_disparity + num_disparities - 1
     begin = max(0, max_disparity)  # the columns whose whole search lies in the right image
     end = width + min(0, min_disparity)
@@ -251,7 +251,7 @@ def _match_rows(
         _slide_columns(sums, textures, rows, begin, max_disparity, cap)
         if y >= first_row:
             _search_row(
-                y, sums, textures, begin + half, half, max_disparity, texture, uniqueness, fixed, costs, reasons
+                y, sums, textures, begin + half, half, max_disparity, texture, uniqueness, disparity_x16, costs, reasons
             )
             if tolerance > 0:
-                _check_right(fixed, reasons, costs, y, tolerance)
+                _check_right(disparity_x16, reasons, costs, y, tolerance)

@@ -16,7 +16,7 @@ from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.matching.filters.speckle_filter import I16
-from stereo_depth_ros.matching.protocol import FIXED_STEPS, check_pair, check_search
+from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.selection.float_costs import I64, finish, median_filter, select_row
 from stereo_depth_ros.matching.serial import SerialMatcher
 
@@ -26,7 +26,7 @@ U32: TypeAlias = npt.NDArray[np.uint32]
 
 COSTS = ("sad", "ssd", "zsad", "zssd", "ncc", "zncc")
 SAD, SSD, ZSAD, ZSSD, NCC, ZNCC = range(6)
-NO_BOUND = 255  # the largest difference of grey values there is
+NO_BOUND = 255  # the largest difference of gray values there is
 
 
 class WindowMatcher(SerialMatcher):
@@ -49,7 +49,7 @@ class WindowMatcher(SerialMatcher):
     """
 
     name = "window"
-    step_px = 1 / FIXED_STEPS
+    step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities, or another cost than sad is bounded."""
@@ -64,18 +64,18 @@ class WindowMatcher(SerialMatcher):
     def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
         check_pair(left, right, config)
-        fixed = np.zeros(left.shape, np.int16)
+        disparity_x16 = np.zeros(left.shape, np.int16)
         reasons = np.empty(left.shape, np.uint8)
         side = config.correlation_window_size
         images = (np.ascontiguousarray(left), np.ascontiguousarray(right))
         search = (side // 2, config.vertical_search, config.min_disparity, config.num_disparities)
         checks = (config.uniqueness_ratio, config.disp12_max_diff)
         cost = (COSTS.index(config.window_cost), config.max_difference or NO_BOUND)
-        values = (*images, *cost, *search, *checks, fixed, reasons)
+        values = (*images, *cost, *search, *checks, disparity_x16, reasons)
         # Every band begins by summing a whole window height.
         run_bands(_match_rows, left.shape[0], *values, min_rows=max(64, 2 * side))
-        fixed = median_filter(fixed, reasons, side)
-        return finish(fixed, reasons, config, self.step_px)
+        disparity_x16 = median_filter(disparity_x16, reasons, side)
+        return finish(disparity_x16, reasons, config, self.step_px)
 
 
 @compiled()
@@ -186,7 +186,7 @@ def _match_rows(
     count: int,
     uniqueness: float,
     tolerance: int,
-    fixed: I16,
+    disparity_x16: I16,
     reasons: U8,
 ) -> None:
     """Disparities of a band of rows, or the reason against them; sums are integers, so that no order changes them."""
@@ -217,4 +217,4 @@ def _match_rows(
             else:
                 _cost_row(pairs[v], prefix, kind, rows[v], half, max_disparity, costs)
         if y >= first:
-            select_row(y, costs, max_disparity, parabola, uniqueness, tolerance, fixed, reasons)
+            select_row(y, costs, max_disparity, parabola, uniqueness, tolerance, disparity_x16, reasons)

@@ -36,8 +36,8 @@ _NOTES = {
 _INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_COMPLAINTS_LAST_S = 6.0
-_MOST_COMPLAINTS = 3  # what comes later usually follows from these
+_ERRORS_LAST_S = 6.0
+_MOST_ERRORS = 3  # what comes later usually follows from these
 
 _UNSUBSCRIBE_TIMEOUT_S = 1.0  # somebody else may be listening, and the nodes stay awake
 _SETTLE_S = 0.2
@@ -91,7 +91,7 @@ class GraphPorts:
             )
         self._sent_ns = 0
         self._statuses: dict[str, Any] = {}
-        self._complaints: list[str] = []
+        self._errors: list[str] = []
         self._played_from_s = math.inf  # by the monotonic clock
         node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 10)
 
@@ -149,9 +149,9 @@ class GraphPorts:
             for stage, times in stage_timings({item.key: item.value for item in status.values}).items()
         }
 
-    def complaints(self) -> str:
+    def errors_reported(self) -> str:
         """The first things that the nodes said were wrong, a line each; empty for nothing."""
-        return "; ".join(self._complaints[:_MOST_COMPLAINTS])
+        return "; ".join(self._errors[:_MOST_ERRORS])
 
     def warn(self, text: str) -> None:
         """Log a warning."""
@@ -188,14 +188,14 @@ class GraphPorts:
 
     def _receive_diagnostics(self, message: Any) -> None:
         # A node that is never lazy complains of silence before the bag is played, and repeats that for a while
-        played = time.monotonic() > self._played_from_s + _COMPLAINTS_LAST_S
+        played = time.monotonic() > self._played_from_s + _ERRORS_LAST_S
         for status in message.status:
             name = status.name.rpartition("/")[2]
             self._statuses[name] = status
-            complaint = f"{name}: {status.message.splitlines()[0]}"
+            text = f"{name}: {status.message.splitlines()[0]}"
             silence = "nothing received" in status.message and not played
-            if status.level != DiagnosticStatus.OK and not silence and complaint not in self._complaints:
-                self._complaints.append(complaint)
+            if status.level != DiagnosticStatus.OK and not silence and text not in self._errors:
+                self._errors.append(text)
 
 
 def _clock_message(stamp_ns: int) -> Any:

@@ -20,8 +20,8 @@ from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["replay_through_graph"]
 
-# What the nodes of either shape subscribe, an eye.
-_EYE_INPUTS = ("camera_info", "image_raw", "image_raw/compressed", "image_rect", "image_rect_color")
+# What the nodes of either shape subscribe, a camera.
+_CAMERA_INPUTS = ("camera_info", "image_raw", "image_raw/compressed", "image_rect", "image_rect_color")
 
 
 def replay_through_graph(
@@ -66,5 +66,5 @@ def replay_through_graph(
 
 def _reliable_inputs() -> dict[str, str]:
     """Overrides that make every subscription reliable: nothing is lost even without the transport profile."""
-    eyes = [f"/{eye}/{name}" for eye in ("left", "right") for name in _EYE_INPUTS]
-    return {f"qos_overrides.{topic}.subscription.reliability": "reliable" for topic in (*eyes, "/disparity")}
+    sides = [f"/{side}/{name}" for side in ("left", "right") for name in _CAMERA_INPUTS]
+    return {f"qos_overrides.{topic}.subscription.reliability": "reliable" for topic in (*sides, "/disparity")}

@@ -160,7 +160,7 @@ class Player:
         self.lost.append(pair)
         if self._options.realtime:
             return
-        reason = self._ports.complaints() or "the nodes complain of nothing"
+        reason = self._ports.errors_reported() or "the nodes complain of nothing"
         self._ports.warn(
             f"pair {stamp_text(pair.stamp_ns)}: {', '.join(pair.topics)} not there after {_LOST_AFTER_S:g} s: {reason}"
         )

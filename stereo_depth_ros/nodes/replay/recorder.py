@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records serialised messages into a bag from a thread of its own, so that the graph does not wait for the disk."""
+"""Records serialized messages into a bag from a thread of its own, so that the graph does not wait for the disk."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Recorder:
         self._writer.__exit__(kind, error, trace)
 
     def write(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int, latched: bool = False) -> None:
-        """Hand a serialised message to the writing thread; ``latched`` as of the bag.
+        """Hand a serialized message to the writing thread; ``latched`` as of the bag.
 
         Raises:
             BagError: an earlier message could not be written.
