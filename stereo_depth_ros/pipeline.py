@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -40,7 +41,19 @@ class StereoPipeline:
         self.config = config
         self.rig = rig
         self._rectifier = Rectifier(rig)
-        self._disparity = DisparityStage(config.matching, rig)
+        self._disparity = DisparityStage(config.matching, self._rectifier)
+
+    def with_config(self, config: PipelineConfig) -> StereoPipeline:
+        """A pipeline of the same rig with other parameters; stages whose parameters are the same are shared.
+
+        Raises:
+            ConfigError: what cannot work.
+        """
+        other = copy.copy(self)
+        other.config = config
+        if config.matching != self.config.matching:
+            other._disparity = DisparityStage(config.matching, self._rectifier)
+        return other
 
     def process(self, pair: StereoPair) -> StereoResult:
         """Depth of a raw pair.

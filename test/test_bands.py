@@ -8,13 +8,11 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stereo_depth_ros.core import bands as parallel
-from stereo_depth_ros.core import kernels
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
 
@@ -106,34 +104,3 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     result = subprocess.run([sys.executable, "-c", program], timeout=60, check=False)
     assert result.returncode == 0
-
-
-def test_kernel_is_compiled_again_when_a_helper_in_another_file_changed(tmp_path: Path) -> None:
-    package = tmp_path / "kernels"
-    package.mkdir()
-    source = Path(kernels.__file__).read_text("utf-8")
-    (package / "__init__.py").touch()
-    (package / "core" / "kernels.py").write_text(source, "utf-8")
-    (package / "kernel.py").write_text(
-        "from kernels.helper import helper\nfrom kernels.core.kernels import compiled\n\n"
-        "@compiled('int64(int64)')\ndef kernel(value):\n    return helper(value)\n",
-        "utf-8",
-    )
-
-    def answer() -> str:
-        command = [sys.executable, "-c", "from kernels.kernel import kernel; print(kernel(7))"]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60).stdout
-
-    def write_helper(expression: str) -> None:
-        text = (
-            f"from kernels.core.kernels import compiled\n\n@compiled()\ndef helper(value):\n    return {expression}\n"
-        )
-        (package / "helper.py").write_text(text, "utf-8")
-
-    write_helper("value + 1")
-    assert answer() == "8\n"
-    index = next((package / "__pycache__").glob("kernel.kernel*.nbi"))
-    written_ns = index.stat().st_mtime_ns
-    assert (answer(), index.stat().st_mtime_ns) == ("8\n", written_ns), "read from the disk"
-    write_helper("value * 10")
-    assert answer() == "70\n"

@@ -67,7 +67,7 @@ def test_what_the_stage_takes_out_has_none(name: str, fill_holes: bool) -> None:
     images = rectified(rig, 0)
     fields = {"num_disparities": 48, "min_disparity": -12, "iterations": 2, "speckle_size": 0}
     matcher = create_matcher(name, **fields, correlation_window_size=5, uniqueness_ratio=0.0, fill_holes=fill_holes)
-    matched, result = matcher.match(*images), DisparityStage(matcher.config, rig).match(*images)
+    matched, result = matcher.match(*images), DisparityStage(matcher.config, Rectifier(rig)).match(*images)
     removed = (matched.reasons == 0) & (result.reasons != 0)
     assert (confidence_of(matched)[removed] > 0).any()
     assert {Reason.RANGE, Reason.BORDER} & set(result.reasons[removed].tolist())

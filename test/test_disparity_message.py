@@ -52,7 +52,7 @@ def message(rig: StereoRig, disparity_px: Any) -> Any:
         step_px=1 / 16,
         stamp_ns=12_000_000_034,
         frame_id="left",
-        window_size=5,
+        support_px=(5, 5),
     )
 
 
@@ -123,16 +123,17 @@ def test_no_focal_length_and_other_calibrations_are_refused(message: Any, rig: S
 
 
 @pytest.mark.parametrize(
-    ("size", "search", "window", "expected"),
+    ("size", "search", "support_px", "expected"),
     [
-        ((53, 31), (0, 15), 5, (17, 2, 34, 27)),
-        ((53, 31), (-16, 15), 5, (17, 2, 18, 27)),
-        ((53, 31), (-32, -17), 7, (3, 3, 15, 25)),
-        ((20, 31), (0, 63), 15, (20, 7, 0, 17)),  # the search leaves nothing
+        ((53, 31), (0, 15), (5, 5), (17, 2, 34, 27)),
+        ((53, 31), (-16, 15), (5, 5), (17, 2, 18, 27)),
+        ((53, 31), (-32, -17), (7, 7), (3, 3, 15, 25)),
+        ((53, 31), (0, 15), (9, 7), (19, 3, 30, 25)),
+        ((20, 31), (0, 63), (15, 15), (20, 7, 0, 17)),  # the search leaves nothing
     ],
 )
 def test_valid_window(
-    size: tuple[int, int], search: tuple[int, int], window: int, expected: tuple[int, int, int, int]
+    size: tuple[int, int], search: tuple[int, int], support_px: tuple[int, int], expected: tuple[int, int, int, int]
 ) -> None:
     """Closed form: x - d_max - margin >= 0 and x - d_min + margin < width, and the window inside the left image."""
-    assert valid_window(*size, *search, window) == expected
+    assert valid_window(*size, *search, support_px) == expected

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config.matchers import matcher_number
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, Reason
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.stages.disparity import DisparityStage
+from stereo_depth_ros.stages.rectification import Rectifier
 
 WIDTH, HEIGHT = 200, 120
-HALF_WINDOW = 3
 # By how many columns and rows the raw image lies to the right of and below the rectified one, where it was not seen.
 LEFT_OFFSET, RIGHT_OFFSET = (-20, 9), (26, -13)
 
@@ -32,12 +33,12 @@ def offset_rig() -> StereoRig:
     return StereoRig(*cameras)
 
 
-def seen(offset: tuple[int, int]) -> np.ndarray:
-    """bool (H, W), where the whole window lies in what the raw camera saw."""
+def seen(offset: tuple[int, int], support_px: tuple[int, int]) -> np.ndarray:
+    """bool (H, W), where the whole support lies in what the raw camera saw."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     inside = np.ones((HEIGHT, WIDTH), bool)
-    for step in (-HALF_WINDOW, HALF_WINDOW):
-        for place, moved, size in ((x, offset[0], WIDTH), (y, offset[1], HEIGHT)):
+    for place, moved, size, support in ((x, offset[0], WIDTH, support_px[0]), (y, offset[1], HEIGHT, support_px[1])):
+        for step in (-(support // 2), support // 2):
             raw = np.clip(place + step, 0, size - 1) - moved
             inside &= (raw >= 0) & (raw < size)
     return inside
@@ -53,25 +54,34 @@ def textured_pair() -> tuple[U8, U8]:
     return left.astype(np.uint8), right.astype(np.uint8)
 
 
-@pytest.mark.parametrize("fill_holes", [False, True])
-def test_a_disparity_takes_both_raw_cameras(fill_holes: bool) -> None:
+@pytest.mark.parametrize(
+    ("matcher", "fill_holes", "support_px"), [("sgm", False, (9, 7)), ("sgm", True, (9, 7)), ("window", False, (5, 5))]
+)
+def test_a_disparity_takes_both_raw_cameras(matcher: str, fill_holes: bool, support_px: tuple[int, int]) -> None:
     """Each its own: what the left one did not see, what the right one did not see, and what is beside its image."""
-    config = MatchingConfig(num_disparities=32, correlation_window_size=2 * HALF_WINDOW + 1, fill_holes=fill_holes)
+    config = MatchingConfig(
+        stereo_algorithm=matcher_number(matcher),
+        num_disparities=32,
+        correlation_window_size=5,
+        fill_holes=fill_holes,
+    )
     left, right = textured_pair()
+    left_seen, right_image_seen = seen(LEFT_OFFSET, support_px), seen(RIGHT_OFFSET, support_px)
     every = matcher_from_config(config).match(left, right)
+    assert every.support_px == support_px
     disparity_px, reasons = every.disparity_px.copy(), every.reasons.copy()
     found = np.isfinite(disparity_px)
     at = np.arange(WIDTH) - np.rint(np.where(found, disparity_px, 0)).astype(int)
     beside = found & (at < 0)
-    right_seen = np.take_along_axis(seen(RIGHT_OFFSET), at.clip(0), axis=1)
+    right_seen = np.take_along_axis(right_image_seen, at.clip(0), axis=1)
     left_only, right_only = (
-        (seen(LEFT_OFFSET) & found & ~right_seen & ~beside),
-        (found & right_seen & ~seen(LEFT_OFFSET)),
+        (left_seen & found & ~right_seen & ~beside),
+        (found & right_seen & ~left_seen),
     )
     assert left_only.sum() > 1000 and right_only.sum() > 1000
-    assert (beside & seen(LEFT_OFFSET)).any()
+    assert (beside & left_seen).any()
 
-    result = DisparityStage(config, offset_rig()).match(left, right)
-    unseen = ~seen(LEFT_OFFSET) | (found & ~right_seen) | beside
+    result = DisparityStage(config, Rectifier(offset_rig())).match(left, right)
+    unseen = ~left_seen | (found & ~right_seen) | beside
     np.testing.assert_array_equal(result.disparity_px, np.where(unseen, np.float32(np.nan), disparity_px))
     np.testing.assert_array_equal(result.reasons, np.where(unseen, reasons | np.uint8(Reason.BORDER), reasons))

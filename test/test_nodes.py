@@ -28,6 +28,7 @@ pytestmark = pytest.mark.graph
 STAMP_NS = 5 * NS_PER_S + 123_456_789
 FRAME_ID = "left_camera_optical_frame"
 WIDTH, HEIGHT, RANGE, WINDOW = 200, 120, 32, 9
+SUPPORT = (9, 7)  # of sgm: its census, whatever the window
 PARAMETERS = {"disparity_range": RANGE, "correlation_window_size": WINDOW}
 SEPARATE = (RectifyNode, DisparityNode, PointCloudNode, DepthNode)
 RAW_TOPICS = ("left/image_raw", "right/image_raw", "left/camera_info", "right/camera_info")
@@ -108,9 +109,9 @@ def test_disparity_message_describes_the_rig_and_the_search(fused: dict[str, Any
     assert doffs > 1  # published disparities are shifted by it, so the test needs one
     assert (message.min_disparity, message.max_disparity) == pytest.approx((-doffs, RANGE - 1 - doffs), rel=1e-6)
     assert message.delta_d == pytest.approx(1 / 64)
-    window, margin = message.valid_window, WINDOW // 2
-    assert (window.x_offset, window.y_offset) == (RANGE - 1 + margin, margin)
-    assert (window.width, window.height) == (WIDTH - RANGE + 1 - 2 * margin, HEIGHT - 2 * margin)
+    window, (beside, above) = message.valid_window, (SUPPORT[0] // 2, SUPPORT[1] // 2)
+    assert (window.x_offset, window.y_offset) == (RANGE - 1 + beside, above)
+    assert (window.width, window.height) == (WIDTH - RANGE + 1 - 2 * beside, HEIGHT - 2 * above)
 
 
 def test_disparity_depth_and_truth_agree(fused: dict[str, Any], camera: StereoCamera) -> None:
@@ -289,7 +290,7 @@ def test_compressed_images_give_the_disparities_of_raw_ones(camera: StereoCamera
 
 
 def test_namespace_and_remapping(fused: dict[str, Any], camera: StereoCamera) -> None:
-    remaps = {"__ns": "/robot", "__node": "sides", "left/image_raw": "/cameras/left", "points2": "cloud"}
+    remaps = {"__ns": "/robot", "__node": "cameras", "left/image_raw": "/cameras/left", "points2": "cloud"}
     messages = {f"/robot/{topic}": message for topic, message in camera.pair(STAMP_NS).items()}
     messages["/cameras/left"] = messages.pop("/robot/left/image_raw")
     with Graph(StereoDepthNode, parameters=PARAMETERS, remaps=remaps) as graph:

@@ -101,7 +101,7 @@ def rectified_pairs() -> list[tuple[U8, U8]]:
 
 def test_the_disparity_stage() -> None:
     def make() -> Callable[[tuple[U8, U8]], bytes]:
-        stage = DisparityStage(MatchingConfig(num_disparities=32), SEQUENCE.rig)
+        stage = DisparityStage(MatchingConfig(num_disparities=32), Rectifier(SEQUENCE.rig))
         return lambda images: result_bytes(stage.match(*images))
 
     assert_as_in_one_thread(make, rectified_pairs(), 30)
@@ -109,7 +109,7 @@ def test_the_disparity_stage() -> None:
 
 def test_the_feature_stage() -> None:
     def make() -> Callable[[tuple[U8, U8]], bytes]:
-        stage = FeatureStage(MatchingConfig(num_disparities=32), SEQUENCE.rig)
+        stage = FeatureStage(MatchingConfig(num_disparities=32), Rectifier(SEQUENCE.rig))
 
         def find(images: tuple[U8, U8]) -> bytes:
             matches = stage.find(*images)

@@ -184,6 +184,7 @@ class MatchResult:
         disparity_px: float32 (H, W), x_left - x_right in pixels, NaN where invalid.
         reasons: uint8 (H, W), bits of :class:`Reason`, 0 exactly where ``disparity_px`` is finite.
         step_px: smallest difference between two disparities this matcher can tell (1/16 for OpenCV's).
+        support_px: width and height, odd, of the pixels around one that its matching cost is made of.
         confidence_source: the confidence, or what computes it when it is asked for; None from a method without one.
     """
 
@@ -191,6 +192,7 @@ class MatchResult:
     reasons: U8
     step_px: float
     confidence_source: F32 | Callable[[], F32] | None = None
+    support_px: tuple[int, int] = (1, 1)
 
     @cached_property
     def confidence(self) -> F32 | None:

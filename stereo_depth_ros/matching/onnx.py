@@ -45,6 +45,7 @@ class OnnxMatcher(SerialMatcher):
 
     name = "onnx"
     step_px = 1 / X16_STEPS
+    support_px = (1, 1)  # that of the network is not known
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where ONNX Runtime or the file is missing, or the network has other inputs or outputs."""
@@ -125,11 +126,17 @@ class _Input:
 
 
 def _open(model: str) -> Any:
-    """The inference session of a file."""
+    """The inference session of a file; one that was opened to check parameters is the one that is used."""
     if not model:
         raise ConfigError("onnx_model is empty, the matcher onnx needs a network: set it to the path of an .onnx file")
     if not Path(model).is_file():
         raise ConfigError(f"onnx_model = {model!r} is no file: correct the path, relative ones begin at {Path.cwd()}")
+    status = Path(model).stat()
+    return _session(model, status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=1)
+def _session(model: str, _mtime_ns: int, _size: int) -> Any:
     try:
         runtime = importlib.import_module("onnxruntime")
     except ImportError as error:

@@ -35,6 +35,10 @@ class Matcher(Protocol):
     def step_px(self) -> float:
         """Smallest difference between two disparities, px."""
 
+    @property
+    def support_px(self) -> tuple[int, int]:
+        """Width and height, odd, of the pixels around one that its matching cost is made of."""
+
     def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
         """Disparities of the left image.
 

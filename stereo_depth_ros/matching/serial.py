@@ -25,6 +25,11 @@ class SerialMatcher(ABC):
         self.config = config
         self._turn = threading.Lock()
 
+    @property
+    def support_px(self) -> tuple[int, int]:
+        """The matching window, for the methods that have one."""
+        return self.config.correlation_window_size, self.config.correlation_window_size
+
     def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
         """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
         check_images(left, right)
@@ -33,10 +38,10 @@ class SerialMatcher(ABC):
         with self._turn:
             result = self._match(left, right)
         if out is None:
-            return result
+            return dataclasses.replace(result, support_px=self.support_px)
         # The confidence still to be computed reads the disparities of the method, not what becomes of the caller's.
         out[:] = result.disparity_px
-        return dataclasses.replace(result, disparity_px=out)
+        return dataclasses.replace(result, disparity_px=out, support_px=self.support_px)
 
     @abstractmethod
     def _match(self, left: U8, right: U8) -> MatchResult:

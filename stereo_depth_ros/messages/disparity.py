@@ -46,7 +46,7 @@ def disparity_message(
     step_px: float,
     stamp_ns: int,
     frame_id: str,
-    window_size: int = 1,
+    support_px: tuple[int, int] = (1, 1),
     payload: tuple[Any, Any] | None = None,
 ) -> Any:
     """A DisparityImage.
@@ -58,7 +58,7 @@ def disparity_message(
         min_disparity, max_disparity: first and last whole disparity searched, pixels, before the shift.
         step_px: smallest difference of two disparities the matcher can tell.
         stamp_ns, frame_id: header, that of the left image.
-        window_size: side of the matching window, for the valid window.
+        support_px: width and height of the matcher's support, for the valid window.
         payload: a reused ``types.payload(4 * H * W)``, or None for a new one.
     """
     height, width = disparity_px.shape
@@ -69,7 +69,7 @@ def disparity_message(
     shifted_min = np.float32(min_disparity) - doffs
     run_bands(_publish, height, disparity_px, doffs, shifted_min - np.float32(1), published)
     header = make_header(types, stamp_ns, frame_id)
-    x, y, window_width, window_height = valid_window(width, height, min_disparity, max_disparity, window_size)
+    x, y, window_width, window_height = valid_window(width, height, min_disparity, max_disparity, support_px)
     return types.DisparityImage(
         header=header,
         image=types.Image(
@@ -144,14 +144,14 @@ def published_triangulation(msg: Any, rig: StereoRig, topic: str = "disparity") 
 
 
 def valid_window(
-    width: int, height: int, min_disparity: float, max_disparity: float, window_size: int
+    width: int, height: int, min_disparity: float, max_disparity: float, support_px: tuple[int, int]
 ) -> tuple[int, int, int, int]:
-    """Where every disparity can be searched with the whole window inside both images: x, y, width, height in pixels."""
-    margin = window_size // 2
-    left = min(width, max(0, int(np.ceil(max_disparity))) + margin)
-    right = width - margin + min(0, int(np.floor(min_disparity)))
-    top = min(height, margin)
-    return left, top, max(0, right - left), max(0, height - margin - top)
+    """Where every disparity can be searched with the whole support inside both images: x, y, width, height in px."""
+    beside, above = support_px[0] // 2, support_px[1] // 2
+    left = min(width, max(0, int(np.ceil(max_disparity))) + beside)
+    right = width - beside + min(0, int(np.floor(min_disparity)))
+    top = min(height, above)
+    return left, top, max(0, right - left), max(0, height - above - top)
 
 
 @compiled(f"void(int64, int64, {_F32}, float32, float32, {_F32})")
@@ -183,6 +183,6 @@ def match_message(
         step_px=match.step_px,
         stamp_ns=left.stamp_ns,
         frame_id=left.frame_id,
-        window_size=config.correlation_window_size,
+        support_px=match.support_px,
         payload=pool.get("disparity", match.disparity_px.nbytes),
     )

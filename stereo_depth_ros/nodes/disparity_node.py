@@ -19,6 +19,7 @@ from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.disparity import DisparityStage
+from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["DisparityNode", "main"]
 
@@ -31,6 +32,7 @@ class DisparityNode(StereoNode):
         self.parameters.require(MatchingConfig, self.check_matcher)
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._pool = PayloadPool(self.types)
+        self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._stage = functools.lru_cache(maxsize=1)(DisparityStage)
         self._calibration = CalibrationInput(self)
         self._output = self.add_output(DisparityImage, "disparity")
@@ -45,7 +47,7 @@ class DisparityNode(StereoNode):
         config = self.parameters.get(MatchingConfig)
         frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
         with self.diagnostics.timed("match"):
-            match = self._stage(config, rig).match(to_gray(frames[0]), to_gray(frames[1]))
+            match = self._stage(config, self._rectifier(rig)).match(to_gray(frames[0]), to_gray(frames[1]))
         self._output.publish(match_message(self.types, self._pool, match, config, rig, frames[0]))
 
 

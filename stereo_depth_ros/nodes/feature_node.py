@@ -20,6 +20,7 @@ from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.features import FeatureStage
 from stereo_depth_ros.stages.point_cloud import CloudLayout
+from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["FeatureNode", "main"]
 
@@ -33,6 +34,7 @@ class FeatureNode(StereoNode):
     def __init__(self) -> None:
         super().__init__("feature_node", MatchingConfig, CloudConfig)
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
+        self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._stage = functools.lru_cache(maxsize=1)(FeatureStage)
         self._calibration = CalibrationInput(self)
         self._output = self.add_output(PointCloud2, "features/points2")
@@ -47,7 +49,7 @@ class FeatureNode(StereoNode):
         config = self.parameters.get(MatchingConfig)
         frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
         with self.diagnostics.timed("match"):
-            matches = self._stage(config, rig).find(to_gray(frames[0]), to_gray(frames[1]))
+            matches = self._stage(config, self._rectifier(rig)).find(to_gray(frames[0]), to_gray(frames[1]))
         points_m = matches.points_m(Triangulation.from_rig(rig))
         layout = CloudLayout.of(self.parameters.get(CloudConfig))
         stamp_ns, frame_id = frames[0].stamp_ns, frames[0].frame_id

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import functools
 import time
 from typing import Any
 
@@ -29,7 +28,7 @@ class StereoDepthNode(StereoNode):
         super().__init__("stereo_depth_node", MatchingConfig, DepthConfig, CloudConfig)
         self.parameters.require(MatchingConfig, self.check_matcher)
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
-        self._pipeline = functools.lru_cache(maxsize=1)(StereoPipeline)
+        self._pipeline: StereoPipeline | None = None
         self._messages = ResultMessages(self.types)
         self._calibration = CalibrationInput(self)
         self._made = [(self.add_output(message_class(row.msgtype), row.topic), row.topic, row.build) for row in OUTPUTS]
@@ -42,7 +41,7 @@ class StereoDepthNode(StereoNode):
 
     def _process(self, left: Any, right: Any, rig: StereoRig) -> None:
         frames = [decode_side(self, e, f"{e}/image_raw", m, rig) for e, m in (("left", left), ("right", right))]
-        result = self._pipeline(self._config(), rig).process(StereoPair(*frames))
+        result = self._pipeline_of(rig).process(StereoPair(*frames))
         for output, topic, build in self._made:
             if output.wanted:
                 start = time.perf_counter()
@@ -53,6 +52,15 @@ class StereoDepthNode(StereoNode):
                 result.timings_ms[f"make {topic}"] = 1e3 * (made - start)
                 result.timings_ms[f"send {topic}"] = 1e3 * (sent - made)
         self.diagnostics.timing(result.timings_ms)
+
+    def _pipeline_of(self, rig: StereoRig) -> StereoPipeline:
+        """Made again when the rig changes; of a changed parameter only its stage is."""
+        config = self._config()
+        if self._pipeline is None or self._pipeline.rig is not rig:
+            self._pipeline = StereoPipeline(config, rig)
+        elif self._pipeline.config != config:
+            self._pipeline = self._pipeline.with_config(config)
+        return self._pipeline
 
     def _config(self) -> PipelineConfig:
         get = self.parameters.get

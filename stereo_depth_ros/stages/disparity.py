@@ -6,14 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import run_bands
-from stereo_depth_ros.core.kernels import compiled
-from stereo_depth_ros.core.rig import Rig
+from stereo_depth_ros.core.kernels import compile_kernels, compiled
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
@@ -28,26 +25,27 @@ class DisparityStage:
 
     Args:
         config: the matcher and its parameters.
-        rig: the cameras; their calibration says where a rectified image has pixels. Without one that tells infinity,
-            all disparities searched may be those of points in front.
+        rectifier: of the rig; it says where a rectified image has pixels. With a rig that does not say where infinity
+            is, all disparities searched may be those of points in front.
 
     Raises:
         ConfigError: the parameters contradict each other.
     """
 
-    def __init__(self, config: MatchingConfig, rig: Rig) -> None:
+    def __init__(self, config: MatchingConfig, rectifier: Rectifier) -> None:
+        rig = rectifier.rig
         self._matcher = matcher_from_config(config)
         self._doffs_px = rig.doffs_px
         self._swap_detector = CameraSwapDetector(rig.doffs_px) if rig.metric else None
-        rectifier = Rectifier(rig)
-        sources = [_eroded(s, config.correlation_window_size) for s in (rectifier.left_source, rectifier.right_source)]
-        self._sources = None if all(source.all() for source in sources) else sources
+        seen = rectifier.seen(self._matcher.support_px)
+        self._seen = None if all(side.all() for side in seen) else seen
+        compile_kernels()
 
     def match(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None = None) -> MatchResult:
         """Disparities of a rectified pair, NaN with a reason where there is none.
 
-        Rejected are RANGE, what does not lie in front of the cameras, and BORDER, where the matching window leaves what
-        the raw left or right camera saw. What is rejected has no confidence, see :class:`MatchResult`.
+        Rejected are RANGE, what does not lie in front of the cameras, and BORDER, where the support of the matcher
+        leaves what the raw left or right camera saw. What is rejected has no confidence, see :class:`MatchResult`.
 
         Args:
             left, right: uint8 (H, W).
@@ -61,15 +59,9 @@ class DisparityStage:
             self._swap_detector.check(left, right, exchange)
         result = self._matcher.match(left, right)
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)
-        if self._sources is not None:
-            run_bands(_reject_unseen, len(left), result.disparity_px, result.reasons, *self._sources)
+        if self._seen is not None:
+            run_bands(_reject_unseen, len(left), result.disparity_px, result.reasons, *self._seen)
         return result
-
-
-def _eroded(source: npt.NDArray[np.bool_], window: int) -> U8:
-    """uint8 (H, W), 1 where the whole window has a source."""
-    eroded: U8 = cv2.erode(source.astype(np.uint8), np.ones((window, window), np.uint8), borderValue=1)
-    return eroded
 
 
 _BORDER = np.uint8(Reason.BORDER)

@@ -4,11 +4,7 @@
 
 from __future__ import annotations
 
-import cv2
-import numpy as np
-
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.matching.features.matcher import FeatureMatcher, FeatureMatches
 from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
@@ -22,21 +18,18 @@ class FeatureStage:
 
     Args:
         config: the features and the search.
-        rig: the cameras; their calibration says where a rectified image has pixels.
+        rectifier: of the rig; it says where a rectified image has pixels.
 
     Raises:
         ConfigError: the parameters contradict each other.
     """
 
-    def __init__(self, config: MatchingConfig, rig: StereoRig) -> None:
+    def __init__(self, config: MatchingConfig, rectifier: Rectifier) -> None:
         self._matcher = FeatureMatcher(config)
-        self._doffs_px = rig.doffs_px
-        self._swap_detector = CameraSwapDetector(rig.doffs_px)
-        rectifier = Rectifier(rig)
-        window = np.ones((config.correlation_window_size, config.correlation_window_size), np.uint8)
-        left_seen, right_seen = (s.astype(np.uint8) for s in (rectifier.left_source, rectifier.right_source))
+        self._doffs_px = rectifier.rig.doffs_px
+        self._swap_detector = CameraSwapDetector(self._doffs_px)
         # The edge of what the raw cameras saw is a line in both images, but nothing in the world.
-        self._left_seen, self._right_seen = (cv2.erode(s, window, borderValue=1) for s in (left_seen, right_seen))
+        self._left_seen, self._right_seen = rectifier.seen(self._matcher.support_px)
 
     def find(self, left: U8, right: U8) -> FeatureMatches:
         """What both raw cameras saw, in front of them.

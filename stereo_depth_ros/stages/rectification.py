@@ -78,6 +78,20 @@ class Rectifier:
         """bool (H, W), true where the rectified right pixel is made of raw pixels only."""
         return np.equal(self.rectify_right(self._white()), 255)
 
+    def seen(self, support_px: tuple[int, int]) -> tuple[U8, U8]:
+        """Where a method sees raw pixels only: the sources less half the support of its matching cost.
+
+        Args:
+            support_px: width and height, odd.
+
+        Returns:
+            uint8 (H, W), of the left and of the right rectified image: 1 where the whole support has a source.
+        """
+        support = np.ones((support_px[1], support_px[0]), np.uint8)
+        sources = (self.left_source.astype(np.uint8), self.right_source.astype(np.uint8))
+        left, right = (cv2.erode(source, support, borderValue=1) for source in sources)
+        return np.asarray(left), np.asarray(right)
+
     def _white(self) -> U8:
         return np.full((self.rig.height, self.rig.width), 255, np.uint8)
 

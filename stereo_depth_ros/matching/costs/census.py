@@ -16,12 +16,13 @@ from numba.extending import intrinsic
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.types import U8
 
-__all__ = ["CENSUS_BITS", "U64", "census_rows", "cost_rows"]
+__all__ = ["CENSUS_BITS", "CENSUS_WINDOW", "U64", "census_rows", "cost_rows"]
 
 U64: TypeAlias = npt.NDArray[np.uint64]
 
 RADIUS_X, RADIUS_Y = 4, 3
-CENSUS_BITS = (2 * RADIUS_X + 1) * (2 * RADIUS_Y + 1) - 1
+CENSUS_WINDOW = (2 * RADIUS_X + 1, 2 * RADIUS_Y + 1)  # width, height
+CENSUS_BITS = CENSUS_WINDOW[0] * CENSUS_WINDOW[1] - 1
 NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # what unrelated pixels cost on average
 
 _ONE, _EIGHT = np.uint8(1), np.uint64(8)

@@ -33,6 +33,7 @@ MIN_COMMON_SHARE = 0.5  # of the rows of the shorter of two segments
 # descriptors (256), squared standard deviations of lines. Higher limits let in more wrong matches than right ones.
 MAX_COST = {"sift": 250.0, "orb": 50.0, "lines": 4.0}
 NOISE_SHARE = 0.1  # of the highest cost: two candidates that cost less are equally good
+SUPPORT_PX = (15, 15)  # about what the smallest descriptors look at
 RIVAL_PX = 2.0  # candidates with nearer disparities are one place found twice, at two scales for example
 PAIRS_AT_ONCE = 2**16  # of descriptors: bounds the memory
 
@@ -99,6 +100,7 @@ class FeatureMatcher(SerialMatcher):
 
     name = "features"
     step_px = 1 / X16_STEPS
+    support_px = SUPPORT_PX
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the search does not fit in 16-bit disparities."""

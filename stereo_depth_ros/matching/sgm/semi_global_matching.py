@@ -13,7 +13,7 @@ from stereo_depth_ros.core.bands import core_count, run_bands
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8, MatchResult
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS, U64, census_rows
+from stereo_depth_ros.matching.costs.census import CENSUS_BITS, CENSUS_WINDOW, U64, census_rows
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.filters.hole_filling import fill_holes
 from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter
@@ -61,6 +61,7 @@ class SemiGlobalMatcher(SerialMatcher):
 
     name = "sgm"
     step_px = 1 / STEPS_PER_PX
+    support_px = CENSUS_WINDOW
 
     def __init__(self, config: MatchingConfig) -> None:
         """ConfigError where the penalties contradict each other."""

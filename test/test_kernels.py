@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels are compiled in one step, once, and again only when what their code is made of has changed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stereo_depth_ros.core.kernels import Kernel, compile_kernels, compiled
+
+ROOT = Path(__file__).resolve().parents[1]
+
+KERNEL = """
+from stereo_depth_ros.core.kernels import compile_kernels, compiled
+from helper import helper
+
+@compiled("int64(int64)")
+def kernel(value):
+    return helper(value)
+
+@compiled("int64(int64)")
+def other(value):
+    return value - 1
+"""
+RUN = """
+import kernel
+kernel.compile_kernels(lambda number, total: print("compiling", number, total))
+print(kernel.kernel(7), kernel.other(7))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two kernels, one of which calls a helper in another file."""
+    (tmp_path / "kernel.py").write_text(KERNEL)
+    write_helper(tmp_path, "value + 1")
+    return tmp_path
+
+
+def write_helper(folder: Path, expression: str, comment: str = "") -> None:
+    text = f"from stereo_depth_ros.core.kernels import compiled\n{comment}\n@compiled()\ndef helper(value):\n"
+    (folder / "helper.py").write_text(f"{text}    return {expression}\n")
+
+
+def start(folder: Path) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    command = [sys.executable, "-c", RUN]
+    return subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def run(folder: Path) -> list[str]:
+    """What a new process prints."""
+    process = start(folder)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    return output.splitlines()
+
+
+def test_code_is_read_from_disk_until_something_that_it_is_made_of_changes(folder: Path) -> None:
+    assert run(folder) == ["compiling 1 2", "compiling 2 2", "8 6"]
+    assert run(folder) == ["8 6"]
+    write_helper(folder, "value * 10")
+    assert run(folder) == ["compiling 1 1", "70 6"], "the kernel that calls the helper, and only that one"
+
+
+def test_lines_that_move_and_other_files_compile_nothing(folder: Path) -> None:
+    run(folder)
+    write_helper(folder, "value + 1", comment="# a comment\n\n\n")
+    (folder / "kernel.py").write_text(f'"""A new docstring."""\n\n{KERNEL}')
+    (folder / "plot.py").write_text("color = 1\n")
+    assert run(folder) == ["8 6"]
+
+
+def test_constants_are_part_of_the_code(folder: Path) -> None:
+    write_helper(folder, "value + STEP", comment="STEP = 3")
+    assert run(folder)[-1] == "10 6"
+    write_helper(folder, "value + STEP", comment="STEP = 5")
+    assert run(folder) == ["compiling 1 1", "12 6"]
+
+
+def test_of_processes_that_start_together_one_compiles(folder: Path) -> None:
+    processes = [start(folder) for _ in range(3)]
+    outputs = [process.communicate(timeout=240)[0].splitlines() for process in processes]
+    assert [process.returncode for process in processes] == [0, 0, 0]
+    assert [output[-1] for output in outputs] == ["8 6"] * 3
+    assert sum(line.startswith("compiling") for output in outputs for line in output) == 2
+
+
+def test_a_call_makes_the_code_where_nothing_did_before() -> None:
+    @compiled("float64(float64)")
+    def half(value: float) -> float:
+        return value / 2
+
+    assert isinstance(half, Kernel)
+    assert half(5.0) == 2.5
+    compile_kernels(lambda number, total: pytest.fail("nothing is left to compile"))
