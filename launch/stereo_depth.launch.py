@@ -118,7 +118,11 @@ def generate_launch_description():
             ),
             stage_node("stereo_depth_node", *PATH, condition=IfCondition(fused), rectifies=True),
             stage_node(
-                "calibration_monitor", "pairing", "health", condition=IfCondition(LaunchConfiguration("health")), **rectified
+                "calibration_monitor",
+                "pairing",
+                "health",
+                condition=IfCondition(LaunchConfiguration("health")),
+                **rectified,
             ),
         ]
     )

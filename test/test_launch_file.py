@@ -109,7 +109,14 @@ def test_argument_defaults(entities: list[Any]) -> None:
 def test_executables_are_installed(entities: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = nodes_of(entities)
     assert set(nodes) == {
-        *("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node", "calibration_monitor")
+        *(
+            "rectify_node",
+            "disparity_node",
+            "point_cloud_node",
+            "depth_node",
+            "stereo_depth_node",
+            "calibration_monitor",
+        )
     }
     assert set(nodes) < entry_points(monkeypatch)
     assert {node.kwargs["package"] for node in nodes.values()} == {"stereo_depth_ros"}

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_depth_ros.cli.output import messages, progress_bar
+from stereo_depth_ros.cli.output import Overwrite, messages, progress_bar
 from stereo_depth_ros.datasets.dataset import StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.images import ImagesDataset
@@ -29,7 +29,6 @@ convert_app = typer.Typer(
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset.")]
 Output = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Bag to write.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace OUT.mcap where it exists.")]
 Rate = Annotated[float, typer.Option(help="Pairs a second, where the dataset has no times.")]
 
 

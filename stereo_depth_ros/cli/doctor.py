@@ -12,13 +12,15 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from stereo_depth_ros.cli.output import progress_bar, show
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.cli.output import Overwrite, progress_bar, show
 from stereo_depth_ros.cli.tables import facts_table, plain_table
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.diagnosis.doctor import diagnose
 from stereo_depth_ros.diagnosis.finding import Level
 from stereo_depth_ros.diagnosis.survey import StereoSetup
 from stereo_depth_ros.diagnosis.verdict import Diagnosis
+from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.replay.graph_processes import require_ros
 
 __all__ = ["doctor_command"]
@@ -45,6 +47,7 @@ def doctor_command(
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Examine a stereo setup: calibration, stamps, images, rows; say what is wrong and what to do.
 
@@ -62,6 +65,7 @@ def doctor_command(
     """
     if live == (bag is not None):
         raise typer.BadParameter("give a BAG, or --live for the running graph", param_hint="BAG")
+    check_outputs((), bag_files(bag) if bag is not None else (), reports=[json_file], overwrite=overwrite)
     if bag is not None:
         with progress_bar("reading") as progress:
             setup = survey_bag(bag, left, right, progress)
@@ -69,7 +73,7 @@ def doctor_command(
         setup = _listen(left, right, left_namespace, right_namespace, seconds)
     with progress_bar("matching features") as progress:
         diagnosis = diagnose(setup, progress)
-    show(_tables(diagnosis), diagnosis.to_json(), json_file)
+    show(_tables(diagnosis), diagnosis.to_json(), json_file, overwrite=overwrite)
     if diagnosis.level is Level.ERROR:
         raise typer.Exit(_EXIT_ERROR)
     if diagnosis.left_out:

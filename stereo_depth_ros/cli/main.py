@@ -16,17 +16,20 @@ import typer
 
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.cli.calibrate import calibrate_command
 from stereo_depth_ros.cli.convert import convert_app, synthesize
 from stereo_depth_ros.cli.doctor import doctor_command
 from stereo_depth_ros.cli.evaluate import evaluate_command
-from stereo_depth_ros.cli.output import messages, progress_bar, show
+from stereo_depth_ros.cli.output import Overwrite, finish_stdout, messages, parameter_files, progress_bar, show
 from stereo_depth_ros.cli.rectify import rectify_command
 from stereo_depth_ros.cli.rig import rig_command
 from stereo_depth_ros.cli.tables import info_tables, info_values, parameters_table, parameters_values, result_tables
 from stereo_depth_ros.config.values import Value, parse_assignments, pipeline_config, read_params_file
 from stereo_depth_ros.core.errors import BagError, StereoDepthError
 from stereo_depth_ros.core.installed_files import installed_files
+from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.matching import MATCHERS
 from stereo_depth_ros.offline.engine import process_bag
 from stereo_depth_ros.offline.report import ReplayResult
@@ -54,9 +57,7 @@ app.command("rectify")(rectify_command)
 app.command("rig")(rig_command)
 
 Bag = Annotated[Path, typer.Argument(metavar="BAG", help="MCAP or .db3 file, or rosbag2 folder.")]
-Output = Annotated[
-    Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="Bag to write; replaced if it exists.")
-]
+Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="Bag to write.")]
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")]
 Left = Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left image topic; found by itself.")]
 Right = Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic; found by itself.")]
@@ -70,7 +71,9 @@ ParamsFile = Annotated[Path | None, typer.Option(metavar="FILE", help="ROS param
 
 
 @app.command()
-def info(bag: Bag, left: Left = None, right: Right = None, json_file: Json = None) -> None:
+def info(
+    bag: Bag, left: Left = None, right: Right = None, json_file: Json = None, overwrite: Overwrite = False
+) -> None:
     """Say what is in a bag, whether stereo depth can be made of it, and why not.
 
     \b
@@ -78,8 +81,9 @@ def info(bag: Bag, left: Left = None, right: Right = None, json_file: Json = Non
       stereo-depth info drive.mcap
       stereo-depth info drive.mcap --json - | jq .problems
     """
+    check_outputs((), bag_files(bag), reports=[json_file], overwrite=overwrite)
     found = inspect_bag(bag, left=left, right=right)
-    show(info_tables(found), info_values(found), json_file)
+    show(info_tables(found), info_values(found), json_file, overwrite=overwrite)
     for text in found.warnings:
         messages.print(f"warning: {text}")
     for text in found.problems:
@@ -110,6 +114,7 @@ def replay(
         bool, typer.Option("--auto-correct", help="And rectify with what health_node corrects.")
     ] = False,
     json_file: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Play a bag through the live graph, in this ROS_DOMAIN_ID, and record what comes out.
 
@@ -125,6 +130,7 @@ def replay(
     options = ReplayOptions(
         bag=str(bag),
         output=str(output),
+        overwrite=overwrite,
         rate=rate,
         realtime=realtime,
         clock=clock,
@@ -139,8 +145,11 @@ def replay(
     watch: Literal["", "watch", "correct"] = "watch" if health else ""
     if auto_correct or values.get("auto_correct"):
         watch = "correct"
+    check_bag_output(
+        output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
+    )
     result = _replay(options, shape, values, params_file, watch)
-    _finish(result, json_file)
+    _finish(result, json_file, overwrite)
 
 
 @app.command()
@@ -155,6 +164,7 @@ def process(
     left: Left = None,
     right: Right = None,
     json_file: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Compute a bag without a graph: the same outputs as replay, without ROS.
 
@@ -163,12 +173,14 @@ def process(
       stereo-depth process drive.mcap -o depth.mcap
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
     """
-    _check_output(bag, output)
     values = {**(read_params_file(params_file) if params_file else {}), **parse_assignments(param or (), matcher)}
+    check_bag_output(
+        output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
+    )
     selection = BagSelection(bag, left, right, start, duration)
     with progress_bar("computing") as progress:
-        result = process_bag(selection, output, pipeline_config(values), progress)
-    _finish(result, json_file)
+        result = process_bag(selection, output, pipeline_config(values), progress, overwrite=overwrite)
+    _finish(result, json_file, overwrite)
 
 
 @app.command()
@@ -177,6 +189,7 @@ def demo(
     separate: Annotated[bool, typer.Option("--separate", help="One process a node; fused by default.")] = False,
     matcher: Matcher = None,
     json_file: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Play the sample bag through the live graph; prints a table, writes a bag and an image.
 
@@ -185,31 +198,35 @@ def demo(
       stereo-depth demo
       stereo-depth demo --output-dir /tmp/demo --matcher sgbm
     """
-    bag, output = _sample_bag(), output_dir / "demo.mcap"
-    options = ReplayOptions(bag=str(bag), output=str(output))
+    bag, output, image = _sample_bag(), output_dir / "demo.mcap", output_dir / "demo.png"
+    check_outputs([output, image], [bag], reports=[json_file], overwrite=overwrite)
+    options = ReplayOptions(bag=str(bag), output=str(output), overwrite=overwrite)
     result = _replay(options, "separate" if separate else "fused", parse_assignments((), matcher), None)
-    image = output_dir / "demo.png"
-    save_bag_preview(output, image, f"{bag.name}: {matcher or 'sgm'}")
-    _finish(result, json_file, image=image)
+    save_bag_preview(output, image, f"{bag.name}: {matcher or 'sgm'}", overwrite=overwrite)
+    _finish(result, json_file, overwrite, image=image)
 
 
 @app.command()
-def parameters(json_file: Json = None) -> None:
+def parameters(json_file: Json = None, overwrite: Overwrite = False) -> None:
     """List every parameter with default, range and meaning.
 
     \b
     Example:
       stereo-depth parameters
     """
-    show([parameters_table()], parameters_values(), json_file)
+    check_outputs((), reports=[json_file], overwrite=overwrite)
+    show([parameters_table()], parameters_values(), json_file, overwrite=overwrite)
 
 
 def main() -> None:
     """The console script: one line for a known error."""
     signal.signal(signal.SIGTERM, _interrupt)  # the nodes that were started are stopped, as after Ctrl-C
     try:
-        app()
-    except StereoDepthError as error:
+        try:
+            app()
+        finally:
+            finish_stdout()
+    except (StereoDepthError, OSError) as error:
         messages.print(f"error: {error}", markup=False)
         sys.exit(EXIT_ERROR)
 
@@ -225,7 +242,6 @@ def _replay(
     params_file: Path | None,
     health: Literal["", "watch", "correct"] = "",
 ) -> ReplayResult:
-    _check_output(Path(options.bag), Path(options.output))
     require_ros()
     from stereo_depth_ros.nodes.replay.live import replay_through_graph
 
@@ -234,21 +250,14 @@ def _replay(
         return replay_through_graph(options, shape, values, config, progress, params_file, health)
 
 
-def _finish(result: ReplayResult, json_file: Path | None, image: Path | None = None) -> None:
+def _finish(result: ReplayResult, json_file: Path | None, overwrite: bool, image: Path | None = None) -> None:
     values = result.to_json() | ({"image": str(image)} if image else {})
-    show(result_tables(result, image), values, json_file)
+    show(result_tables(result, image), values, json_file, overwrite=overwrite)
     for text in result.warnings:
         messages.print(f"warning: {text}", markup=False)
     if result.left_out or (result.lost and not result.realtime):
         messages.print(f"error: {result.left_out} pairs left out, {result.lost} outputs lost: see the warnings above")
         raise typer.Exit(EXIT_LOST)
-
-
-def _check_output(bag: Path, output: Path) -> None:
-    if bag.resolve() == output.resolve():
-        raise BagError(f"{output} is the bag that is read: write to another file")
-    if output.suffix != ".mcap":
-        raise BagError(f"{output} does not end in .mcap: outputs are written as MCAP, name it {output.stem}.mcap")
 
 
 def _sample_bag() -> Path:

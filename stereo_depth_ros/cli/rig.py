@@ -12,12 +12,13 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from stereo_depth_ros.cli.output import messages, show
+from stereo_depth_ros.cli.output import Overwrite, messages, parameter_files, show
 from stereo_depth_ros.cli.rig_tables import rig_tables
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.datasets.rig_files import read_rig
+from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
+from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.geometry.depth_range import (
     Precision,
     depth_errors,
@@ -62,6 +63,7 @@ def rig_command(
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Say what a rig can see: fields of view, range, depth error at each meter, and the disparity range it takes.
 
@@ -78,8 +80,10 @@ def rig_command(
       stereo-depth rig calibration --nearest 0.4 --max-error 2 --image error.png
       stereo-depth rig drive.mcap --param disparity_range:=128 --param disparity_sigma_px:=0.1 --json - | jq .limits
     """
-    rig = read_rig(paths, left, right)
     values = {**(read_params_file(params_file) if params_file else {}), **parse_assignments(param or (), matcher)}
+    inputs = [*rig_files(paths), *parameter_files(params_file, values)]
+    check_outputs([image] if image is not None else [], inputs, reports=[json_file], overwrite=overwrite)
+    rig = read_rig(paths, left, right)
     config = pipeline_config(values)
     step_px = matcher_from_config(config.matching).step_px
     precision = Precision(step_px, config.depth.disparity_sigma_px, max_error / 100)
@@ -89,9 +93,9 @@ def rig_command(
     survey = _Survey(rig, config.matching if given else recommended, precision)
     result = survey.to_json() | {"recommended": {"nearest_m": nearest_m, **_search_values(recommended)}}
     if image is not None:
-        save_png(image, survey.image())
+        save_png(image, survey.image(), overwrite=overwrite)
         result["image"] = str(image)
-    show(rig_tables(result, given), result, json_file)
+    show(rig_tables(result, given), result, json_file, overwrite=overwrite)
     own = next(item for item in result["limits"] if item["baseline_factor"] == 1)
     if own["nearest_m"] >= own["farthest_m"]:
         messages.print(

@@ -144,6 +144,7 @@ class CalibrationConfig(Checked):
         unit="px",
     )
     calibration_folder: str = parameter("calibration", "Where ~/save writes left.yaml, right.yaml and the report.")
+    overwrite: bool = parameter(False, "~/save replaces the files that are there.")
 
 
 @dataclass(frozen=True)

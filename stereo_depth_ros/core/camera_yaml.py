@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from ruamel.yaml.error import YAMLError
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.files.output import write_file
 
 __all__ = ["read_camera", "write_camera"]
 
@@ -53,11 +55,11 @@ def read_camera(path: str | Path) -> CameraModel:
         raise CalibrationError(f"{path}: {error}") from error
 
 
-def write_camera(path: str | Path, camera: CameraModel, camera_name: str) -> None:
+def write_camera(path: str | Path, camera: CameraModel, camera_name: str, *, overwrite: bool = False) -> None:
     """Writes a camera, every number with all its digits.
 
     Raises:
-        CalibrationError: the file cannot be written.
+        OutputError: the file is there and ``overwrite`` is false, or it cannot be written.
     """
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style, yaml.width = None, 1000  # each list of numbers on one line
@@ -72,10 +74,9 @@ def write_camera(path: str | Path, camera: CameraModel, camera_name: str) -> Non
         "rectification_matrix": _matrix(camera.R),
         "projection_matrix": _matrix(camera.P),
     }
-    try:
-        yaml.dump(entries, Path(path))
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written ({error}): choose another folder") from error
+    text = io.StringIO()
+    yaml.dump(entries, text)
+    write_file(Path(path), text.getvalue(), overwrite=overwrite)
 
 
 def _matrix(values: F64) -> dict[str, Any]:
