@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from two_views import F_TRUE, K_LEFT, K_RIGHT, POSE, SIZE, views
 
-from stereo_depth_ros.calibration.boards import create_board
+from stereo_depth_ros.calibration.board_options import create_board
 from stereo_depth_ros.calibration.projection import rectified_points
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import find_views

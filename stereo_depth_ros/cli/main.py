@@ -243,7 +243,7 @@ def _replay(
     health: Literal["", "watch", "correct"] = "",
 ) -> ReplayResult:
     require_ros()
-    from stereo_depth_ros.nodes.replay.live import replay_through_graph
+    from stereo_depth_ros.nodes.live_replay import replay_through_graph
 
     config = pipeline_config({**(read_params_file(params_file) if params_file else {}), **values})
     with progress_bar(f"playing, {shape}") as progress:
