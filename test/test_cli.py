@@ -181,7 +181,7 @@ def test_demo_plays_the_sample_bag_and_names_bag_and_picture(
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + 5 * (os.getpid() % 10) + 4))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setattr(cli, "_sample_bag", lambda: bag)
+    monkeypatch.setattr("stereo_depth_ros.cli.demo._sample_bag", lambda: bag)
     code, out, err = run("demo", "--output-dir", tmp_path / "out")
     assert code == 0, err
     assert len(messages_of(tmp_path / "out" / "demo.mcap", "/points2")) == 2

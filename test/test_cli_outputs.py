@@ -265,8 +265,8 @@ def test_convert_keeps_the_dataset(run: Run, tmp_path: Path) -> None:
 def test_what_cannot_be_written_is_told_before_the_work(
     run: Run, bag: Path, tmp_path: Path, command: str, target: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for work in ("process_bag", "inspect_bag", "_replay"):
-        monkeypatch.setattr(cli, work, lambda *_, **__: pytest.fail("the work was done"))
+    for work in ("process.process_bag", "info.inspect_bag", "replay.run_live", "demo.run_live"):
+        monkeypatch.setattr(f"stereo_depth_ros.cli.{work}", lambda *_, **__: pytest.fail("the work was done"))
     (tmp_path / "file").write_text("")
     places: dict[str, tuple[object, ...]] = {"parameters": (), "demo": ("--output-dir", tmp_path / "d")}
     arguments = places.get(command, (bag, "-o", tmp_path / "o.mcap") if command in ("process", "replay") else (bag,))

@@ -17,21 +17,25 @@ from stereo_depth_ros.calibration.calibration_files import calibration_files, sa
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS
 from stereo_depth_ros.calibration.projection import MODELS, check_model
-from stereo_depth_ros.calibration.stereo_calibration import calibrate
+from stereo_depth_ros.calibration.stereo_calibration import calibrate as calibrate_rig
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
-from stereo_depth_ros.cli.output import Overwrite, messages, progress_bar, show
+from stereo_depth_ros.cli.options import Json, Overwrite, new_app
+from stereo_depth_ros.cli.output import messages, progress_bar, show
 from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.datasets.stereo_images import open_stereo_images
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.plots.coverage import coverage_plot
 from stereo_depth_ros.plots.drawing import save_png
 
-__all__ = ["calibrate_command"]
+__all__ = ["app"]
+
+app = new_app()
 
 _LISTED = 5  # names in one warning
 
 
-def calibrate_command(
+@app.command()
+def calibrate(
     place: Annotated[Path, typer.Argument(metavar="BAG|DIR", help="Raw stereo bag, or folder of images.")],
     size: Annotated[str, typer.Option(metavar="9x6", help="Columns x rows: inner corners, squares or tags.")],
     square: Annotated[float, typer.Option(metavar="METERS", help="Side of a square, or of a tag of an aprilgrid.")],
@@ -53,9 +57,7 @@ def calibrate_command(
     right: Annotated[
         str | None, typer.Option(metavar="TOPIC|GLOB", help="Right image topic, or file pattern; found by itself.")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
-    ] = None,
+    json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Calibrate both cameras and the rig from pairs of images of a board.
@@ -93,7 +95,7 @@ def calibrate_command(
         found = find_views(images, sought, board_of_size, progress)
     warnings = [*images.warnings, *_warnings(found)]
     try:
-        result = calibrate(found.views, model)
+        result = calibrate_rig(found.views, model)
     except CalibrationError as error:
         raise CalibrationError(f"{error}{_explained(found)}") from error
     save_calibration(result, output, overwrite=overwrite)

@@ -14,13 +14,15 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_depth_ros.cli.output import Overwrite, messages, parameter_files, progress_bar, show
+from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
+from stereo_depth_ros.cli.output import messages, parameter_files, progress_bar, show
 from stereo_depth_ros.cli.tables import evaluation_tables
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config
 from stereo_depth_ros.core.errors import BagError, ImageError, StereoDepthError
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
-from stereo_depth_ros.evaluation.evaluator import Evaluation, evaluate
+from stereo_depth_ros.evaluation.evaluator import Evaluation
+from stereo_depth_ros.evaluation.evaluator import evaluate as evaluate_matcher
 from stereo_depth_ros.evaluation.plausibility import check_plausible
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSet, SceneSource, find_scenes
 from stereo_depth_ros.files.output import check_outputs, write_file
@@ -29,28 +31,27 @@ from stereo_depth_ros.plots.curve import curve_plot
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.error import error_plot
 
-__all__ = ["evaluate_command"]
+__all__ = ["app"]
+
+app = new_app()
 
 _EXIT_LEFT_OUT = 3  # some of what was asked for is missing
 _BAG_SUFFIXES = (".mcap", ".db3")
 
 
-def evaluate_command(
+@app.command()
+def evaluate(
     places: Annotated[list[Path], typer.Argument(metavar="DIR|BAG...", help="Dataset folders, or bags with truth.")],
     matcher: Annotated[list[str], typer.Option(metavar="NAME", help="Method to evaluate; may be repeated.")],
-    param: Annotated[
-        list[str] | None, typer.Option("--param", "-p", metavar="NAME:=VALUE", help="A parameter; may be repeated.")
-    ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
-    ] = None,
+    param: Params = None,
+    json_file: Json = None,
     csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures as CSV.")] = None,
     images: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw left, truth, found and error of each scene into DIR.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Compare the disparities of methods with the truth, and take their time.
+    """Compare the disparities of methods with the truth, and measure their time.
 
     DIR is a Middlebury scene of 2001 to 2014, an ETH3D two-view scene or a KITTI stereo training folder, or a folder of
     such, one or two levels down; no calibration is needed. BAG has /truth/disparity, as `convert` and `synthesize`
@@ -142,7 +143,7 @@ def _run(
                 progress(done, total)
                 done += 1
                 try:
-                    evaluation = evaluate(source.name, scene, matcher, config, given)
+                    evaluation = evaluate_matcher(source.name, scene, matcher, config, given)
                 except StereoDepthError as error:
                     left_out.append(f"{source.name}, {matcher} left out: {error}")
                     continue

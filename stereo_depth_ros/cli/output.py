@@ -5,23 +5,30 @@
 from __future__ import annotations
 
 import json
-import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from stereo_depth_ros.core.errors import OutputError
+from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.files.output import telling, write_file
+from stereo_depth_ros.matching import matcher_from_config
 
-__all__ = ["Overwrite", "finish_stdout", "messages", "parameter_files", "progress_bar", "show"]
+__all__ = [
+    "EXIT_ERROR",
+    "EXIT_LOST",
+    "messages",
+    "parameter_files",
+    "prepare_kernels",
+    "progress_bar",
+    "show",
+]
 
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace outputs that exist.")]
+EXIT_ERROR, EXIT_LOST = 1, 3
 
 messages = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -33,6 +40,24 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=messages, transient=True, disable=not messages.is_terminal) as progress:
         task = progress.add_task(title, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+def prepare_kernels(config: MatchingConfig | None = None) -> None:
+    """Compile the kernels of the modules imported so far, and of a matcher, before the work, and report each.
+
+    Raises:
+        ConfigError: the matcher refuses its parameters.
+    """
+    if config is not None:
+        matcher_from_config(config)
+    with progress_bar("compiling kernels") as progress:
+
+        def report(number: int, total: int) -> None:
+            progress(number - 1, total)
+            if not messages.is_terminal:
+                messages.print(f"compiling kernels, {number} of {total}")
+
+        compile_kernels(report)
 
 
 def show(tables: Iterable[RenderableType], values: Any, json_file: Path | None, *, overwrite: bool = False) -> None:
@@ -55,30 +80,6 @@ def show(tables: Iterable[RenderableType], values: Any, json_file: Path | None, 
             console.print(table)
 
 
-def finish_stdout() -> None:
-    """Write what stdout still holds; who has closed the pipe it goes to is told nothing.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    try:
-        with telling("standard output"):
-            if sys.stdout is not None:
-                sys.stdout.flush()
-    except BrokenPipeError:
-        _drop_stdout()
-        sys.exit(1)
-    except OutputError:
-        _drop_stdout()
-        raise
-
-
 def parameter_files(params_file: Path | None, values: Mapping[str, Any]) -> list[Path]:
     """The files that parameters are read from, and those that they name."""
     return [Path(path) for path in (params_file, values.get("onnx_model")) if path]
-
-
-def _drop_stdout() -> None:
-    """Python would try once more at its end, and complain."""
-    with suppress(OSError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

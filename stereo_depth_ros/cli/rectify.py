@@ -12,7 +12,8 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from stereo_depth_ros.cli.output import Overwrite, messages, show
+from stereo_depth_ros.cli.options import Json, Overwrite, new_app
+from stereo_depth_ros.cli.output import messages, show
 from stereo_depth_ros.cli.tables import facts_table
 from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
@@ -32,13 +33,16 @@ from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.rows import rows_plot
 from stereo_depth_ros.stages.rectification import Rectifier
 
-__all__ = ["rectify_command"]
+__all__ = ["app"]
+
+app = new_app()
 
 _MIN_MATCHES = 20  # to say how far apart rows are
 _AGREE_PX = 3.0  # matches whose rows are further from the others' are wrong ones
 
 
-def rectify_command(
+@app.command()
+def rectify(
     left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left image, raw.")],
     right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right image, raw.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")],
@@ -53,12 +57,10 @@ def rectify_command(
         str | None, typer.Option(metavar="NAME", help=f"Rectify anew: {', '.join(METHODS)}; R and P of the rig else.")
     ] = None,
     alpha: Annotated[float, typer.Option(help="With --method: 0 shows valid pixels only, 1 all raw pixels.")] = 0.0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
-    ] = None,
+    json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make the rows of a pair of images agree.
+    """Rectify a pair of images.
 
     With --rig by the calibration. With --uncalibrated features are matched, the fundamental matrix is estimated, and
     two homographies are found that distort least (Loop and Zhang 1999); lenses with distortion need --rig beside it.
