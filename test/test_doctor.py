@@ -55,7 +55,7 @@ CALIBRATION_FAULTS = {
         lambda info: replace(info, distortion_model="fov"),
         as_is,
         "left distortion",
-        "'fov' is none of plumb_bob",
+        "'fov' is not one of plumb_bob",
         "calibrate with one of them",
     ),
     "coefficients": (as_is, entries("d", lambda d: d[:3]), "right distortion", "D has 3 coefficients", "set as many"),
