@@ -55,7 +55,8 @@ def textured_pair() -> tuple[U8, U8]:
 
 
 @pytest.mark.parametrize(
-    ("matcher", "fill_holes", "support_px"), [("sgm", False, (9, 7)), ("sgm", True, (9, 7)), ("window", False, (5, 5))]
+    ("matcher", "fill_holes", "support_px"),
+    [("sgm", False, (11, 9)), ("sgm", True, (11, 9)), ("window", False, (5, 5))],
 )
 def test_a_disparity_takes_both_raw_cameras(matcher: str, fill_holes: bool, support_px: tuple[int, int]) -> None:
     """Each its own: what the left one did not see, what the right one did not see, and what is beside its image."""

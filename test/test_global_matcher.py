@@ -141,7 +141,7 @@ def test_smoothness_removes_what_is_small(method: str) -> None:
 
 
 def test_smoothness_below_the_unit_of_costs_is_refused(method: str) -> None:
-    with pytest.raises(ConfigError, match=r"smoothness = 0.25 is below 0.5 .* take 0.5 or more"):
+    with pytest.raises(ConfigError, match=r"smoothness = 0.25 is below 0.5 .* use 0.5 or more"):
         create_matcher(method, smoothness=0.25)
 
 

@@ -294,7 +294,7 @@ def test_refused_parameters() -> None:
         create_matcher("bm", num_disparity=64)
     with pytest.raises(ConfigError, match="P2 = 100 is not above P1 = 200"):
         create_matcher("sgbm", P1=200, P2=100)
-    with pytest.raises(ConfigError, match=r"uniqueness_ratio = 99\.6 divides by zero in sgbm_mode 2: take 99"):
+    with pytest.raises(ConfigError, match=r"uniqueness_ratio = 99\.6 divides by zero in sgbm_mode 2: use 99"):
         create_matcher("sgbm", uniqueness_ratio=99.6, sgbm_mode=2)
 
 
@@ -309,9 +309,7 @@ def test_disparities_that_do_not_fit_are_refused(name: str, low: int, count: int
 @pytest.mark.parametrize(("cap", "largest"), [(31, 21), (63, 17)])
 def test_sgbm_windows_that_overflow_are_refused(cap: int, largest: int) -> None:
     create_matcher("sgbm", correlation_window_size=largest, prefilter_cap=cap)
-    with pytest.raises(
-        ConfigError, match=rf"correlation_window_size = {largest + 2} overflows.*take {largest} or less"
-    ):
+    with pytest.raises(ConfigError, match=rf"correlation_window_size = {largest + 2} overflows.*use {largest} or less"):
         create_matcher("sgbm", correlation_window_size=largest + 2, prefilter_cap=cap)
 
 

@@ -269,12 +269,12 @@ def test_two_threads_and_a_buffer_that_is_used_again(tmp_path: Path) -> None:
 def test_missing_model_or_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"onnx_model is empty.*set it to the path of an \.onnx file"):
         create_matcher("onnx")
-    with pytest.raises(ConfigError, match=r"onnx_model = '.*none\.onnx' is no file: correct the path"):
+    with pytest.raises(ConfigError, match=r"onnx_model = '.*none\.onnx' is not a file: correct the path"):
         matcher(str(tmp_path / "none.onnx"))
-    with pytest.raises(ConfigError, match=r"is no file"):
+    with pytest.raises(ConfigError, match=r"is not a file"):
         matcher(str(tmp_path))
     (tmp_path / "text.onnx").write_text("not a network")
-    with pytest.raises(ConfigError, match=r"text\.onnx' is no network that can be run: .*: export it again"):
+    with pytest.raises(ConfigError, match=r"text\.onnx' is not a network that can be run: .*: export it again"):
         matcher(str(tmp_path / "text.onnx"))
 
 
@@ -308,7 +308,7 @@ def test_inputs_that_take_no_image(tmp_path: Path, shape: Any, kind: int, says: 
     total = network.add("Cast", network.add("Add", "left", "right"), to=TensorProto.FLOAT)
     model = network.save(tmp_path / "network.onnx", {"output": total})
     with pytest.raises(
-        ConfigError, match=rf"input 'left' is {says}, it must be .* of shape \(1, 1 or 3, height, width\)"
+        ConfigError, match=rf"input 'left' that is {says}, it must be .* of shape \(1, 1 or 3, height, width\)"
     ):
         matcher(model)
 
@@ -328,7 +328,7 @@ def test_output_of_another_size(tmp_path: Path) -> None:
     for found, shape in ((half, r"\(1, 1, 32, 64\)"), (twice, r"\(1, 2, 64, 128\)")):
         model = network.save(tmp_path / "network.onnx", {"output": found})
         with pytest.raises(
-            ConfigError, match=rf"inputs of shape \(1, 1, 64, 128\) with 'output' of shape {shape}, it must"
+            ConfigError, match=rf"inputs of shape \(1, 1, 64, 128\) the output 'output' of shape {shape}, it must"
         ):
             matcher(model).match(*shifted_pair(50, 100, 3))
 
