@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Swapped cameras are told from images, and nothing else is taken for them."""
+"""Swapped cameras are detected from images, without false positives."""
 
 from __future__ import annotations
 

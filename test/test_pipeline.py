@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The path as a program calls it: a raw synthetic pair against its exact truth."""
+"""The pipeline API: a raw synthetic pair against its ground truth."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clouds: every byte where the layout says, points against OpenCV's reprojection."""
+"""Clouds: every byte of the layout, points against OpenCV's reprojection."""
 
 from __future__ import annotations
 

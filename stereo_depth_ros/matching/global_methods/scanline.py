@@ -31,12 +31,12 @@ class ScanlineMatcher(GlobalMatcher):
     of an occluded pixel a constant, and that of the end of a run of occluded pixels the cost of a discontinuity, lower
     at an intensity edge (edges also guide the path in Bobick and Intille 1999).
 
-    Across scanlines (Ohta and Kanade 1985) edges that are connected between rows should keep their disparity. Ohta
-    and Kanade search the path of whole edges in three dimensions; here steps between vertical neighbors cost as in
-    ``energy.py``, again less across an intensity edge, with "occluded" as an additional label that is a discontinuity away from every
-    disparity. For each scanline the sum over itself and all columns, which form a tree, is minimized exactly (the tree
-    of Bleyer and Gelautz 2008): first the costs of the columns for each label of a pixel, then the path with these
-    costs.
+    Across scanlines (Ohta and Kanade 1985) edges that are connected between rows should keep their disparity. Ohta and
+    Kanade search the path of whole edges in three dimensions; here steps between vertical neighbors cost as in
+    ``energy.py``, again less across an intensity edge, and "occluded" is an additional label at the cost of a
+    discontinuity from every disparity. For each scanline the sum over itself and all columns, which form a tree, is
+    minimized exactly (the tree of Bleyer and Gelautz 2008): first the costs of the columns for each label of a pixel,
+    then the path with these costs.
 
     Pixels occluded in the right image are NO_MATCH. With ``fill_holes`` every pixel has a disparity; filled pixels have
     confidence 0. ``support_px`` is that of :class:`GlobalMatcher`.
