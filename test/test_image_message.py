@@ -88,7 +88,7 @@ def test_8_bit_samples_keep_their_values_and_order(
 @pytest.mark.parametrize(("bigendian", "dtype"), [(0, "<u2"), (1, ">u2")])
 @pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
 def test_16_bit_is_rounded_to_8_in_either_byte_order(encoding: str, bigendian: int, dtype: str, padding: int) -> None:
-    # 128 / 257 rounds to 0, 129 / 257 to 1; 0x0102 and 0x0201 tell the byte orders apart.
+    # 128 / 257 rounds to 0, 129 / 257 to 1; 0x0102 and 0x0201 distinguish the byte orders.
     stored = np.array([[0, 128, 129], [0x0102, 0x0201, 40000], [65535, 65406, 257], [256, 770, 51400]])
     expected = [[0, 0, 1], [1, 2, 156], [255, 254, 1], [1, 3, 200]]
     message = _message(stored.astype(dtype), encoding, 3, 4, padding=padding, bigendian=bigendian)
@@ -118,7 +118,7 @@ def _planes(height: int, width: int) -> dict[str, Any]:
 @pytest.mark.parametrize("padding", [0, 3])
 @pytest.mark.parametrize("bits", ["8", "16 little", "16 big"])
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
-def test_bayer_mosaic_gives_its_colours_back(pattern: str, bits: str, padding: int) -> None:
+def test_bayer_mosaic_is_demosaiced(pattern: str, bits: str, padding: int) -> None:
     height, width = 9, 12
     planes = _planes(height, width)
     mosaic = np.empty((height, width), np.int64)
@@ -237,7 +237,7 @@ def test_a_missing_last_padding_is_refused() -> None:
 
 
 @pytest.mark.parametrize("format", ["png", "mono8; png compressed", "mono8; png compressed ", ""])
-def test_grey_png_stays_grey(format: str) -> None:
+def test_gray_png_stays_gray(format: str) -> None:
     stored = _ramp(5, 7, 1)
     frame = decode_compressed(_compressed(_encoded(stored, ".png"), format))
     np.testing.assert_array_equal(frame.pixels, stored)
@@ -254,7 +254,7 @@ def test_grey_png_stays_grey(format: str) -> None:
         ("rgb8; png compressed rgb8", "rgb8"),
     ],
 )
-def test_colour_png_is_in_the_order_that_the_codec_was_given(format: str, encoding: str) -> None:
+def test_color_png_has_the_order_of_its_format(format: str, encoding: str) -> None:
     stored = _ramp(5, 7, 3)
     frame = decode_compressed(_compressed(_encoded(stored, ".png"), format))
     np.testing.assert_array_equal(frame.pixels, stored)
@@ -278,7 +278,7 @@ def test_16_bit_png_is_rounded_to_8(channels: int) -> None:
 
 
 @pytest.mark.parametrize("format", ["jpeg", "bgr8; jpeg compressed bgr8", "rgb8; jpeg compressed bgr8"])
-def test_colour_jpeg_is_bgr(format: str) -> None:
+def test_color_jpeg_is_bgr(format: str) -> None:
     stored = np.empty((16, 24, 3), np.uint8)
     stored[:] = (200, 120, 40)  # blue first; a flat image survives jpeg but for the rounding of its color space
     frame = decode_compressed(_compressed(_encoded(stored, ".jpg"), format))
@@ -286,7 +286,7 @@ def test_colour_jpeg_is_bgr(format: str) -> None:
     assert frame.encoding == "bgr8"
 
 
-def test_grey_jpeg_stays_grey() -> None:
+def test_gray_jpeg_stays_gray() -> None:
     y, x = np.mgrid[:16, :24]
     stored = (40 + 3 * x + 5 * y).astype(np.uint8)
     frame = decode_compressed(_compressed(_encoded(stored, ".jpg"), "mono8; jpeg compressed "))
@@ -294,7 +294,7 @@ def test_grey_jpeg_stays_grey() -> None:
     assert frame.encoding == "mono8"
 
 
-def test_compressed_bayer_mosaic_is_not_taken_for_grey() -> None:
+def test_compressed_bayer_mosaic_is_not_gray() -> None:
     planes = _planes(9, 12)
     mosaic = np.empty((9, 12), np.uint8)
     for i, color in enumerate("gbrg"):
@@ -317,7 +317,8 @@ def test_broken_compressed_data(kind: str) -> None:
         "half png": png[: len(png) // 2],
         "float tiff": _encoded(noise[..., 0].astype(np.float32), ".tiff"),
     }[kind]
-    text = rf"^image of /cam/left/compressed: data of {len(data)} bytes with format 'jpeg' is not a complete jpeg or png .*check"
+    start = rf"^image of /cam/left/compressed: data of {len(data)} bytes with format 'jpeg' "
+    text = rf"{start}is not a complete jpeg or png .*check"
     with pytest.raises(MessageError, match=text):
         decode_compressed(_compressed(data, "jpeg"), topic="/cam/left/compressed")
 
@@ -463,7 +464,7 @@ def test_compressed_png_round_trip(types: Any, encoding: str, channels: int, for
     assert (frame.stamp_ns, frame.frame_id) == (STAMP_NS, "left_optical")
 
 
-def test_jpeg_quality_costs_bytes_and_buys_accuracy(types: Any) -> None:
+def test_higher_jpeg_quality_is_larger_and_more_accurate(types: Any) -> None:
     pixels = cv2.GaussianBlur(np.random.default_rng(3).integers(0, 256, (48, 64), dtype=np.uint8), (0, 0), 1.5)
     sizes, errors = [], []
     for quality in (10, 90):
@@ -502,14 +503,14 @@ def test_depth_is_not_compressed() -> None:
 # -------------------------------------------------------------------------------------------------------------- gray
 
 
-def test_grey_of_grey_is_the_frame_itself() -> None:
+def test_gray_of_gray_is_the_frame_itself() -> None:
     frame = Frame(_ramp(5, 7, 1), 0, "l", "mono8")
     assert to_gray(frame) is frame.pixels
 
 
 @pytest.mark.parametrize(("encoding", "weights"), [("rgb8", (0.299, 0.587, 0.114)), ("bgr8", (0.114, 0.587, 0.299))])
 @pytest.mark.parametrize("with_out", [False, True])
-def test_grey_of_colour_has_the_weights_of_rec_601(encoding: str, weights: Any, with_out: bool) -> None:
+def test_gray_of_color_has_the_weights_of_rec_601(encoding: str, weights: Any, with_out: bool) -> None:
     pixels = _ramp(5, 7, 3)
     out = np.zeros((5, 7), np.uint8) if with_out else None
     gray = to_gray(Frame(pixels, 0, "l", encoding), out)
@@ -522,7 +523,7 @@ def test_grey_of_colour_has_the_weights_of_rec_601(encoding: str, weights: Any, 
     "out",
     [np.zeros((7, 5), np.uint8), np.zeros((5, 7), np.float32), np.zeros((5, 14), np.uint8)[:, ::2]],
 )
-def test_a_grey_buffer_that_does_not_fit_is_refused(out: Any) -> None:
+def test_a_gray_buffer_that_does_not_fit_is_refused(out: Any) -> None:
     with pytest.raises(
         ImageError, match=r"^out: buffer is .* takes contiguous uint8 \(5, 7\): allocate the buffer again"
     ):

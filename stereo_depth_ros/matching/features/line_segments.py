@@ -80,7 +80,7 @@ class LineSegments:
         return crossing
 
     def at(self, rows: npt.NDArray[np.intp]) -> F64:
-        """float64 (N, 2), the point (x, y) of each segment in a row of its own; rows (N,)."""
+        """float64 (N, 2), the point (x, y) of each segment in the given row; rows (N,)."""
         points: F64 = np.stack((self.columns(rows.astype(np.float64)), rows), axis=1)
         return points
 
