@@ -194,7 +194,7 @@ INFO_CASES = (
     Case(
         "no baseline",
         set_matrix((RIGHT_INFO,), "p", scale_baseline(0.0)),
-        r"P\[0,3\] = 0 is no baseline, .*: calibrate both cameras together",
+        r"P\[0,3\] = 0 is not a baseline, .*: calibrate both cameras together",
         "CalibrationError",
     ),
     Case(
