@@ -373,7 +373,7 @@ STAGE_CASES = (
         PointCloudNode,
         ("points2", PointCloud2),
         wrong_color_size,
-        r"left image of \(60, 100\), the disparities have \(120, 200\) \(rows, columns\): send the left image",
+        r"left image of \(60, 100\), the disparities have \(120, 200\) \(rows, columns\): pass the left image",
         CLOUD_INPUTS,
     ),
 )
