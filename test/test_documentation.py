@@ -68,7 +68,7 @@ def test_table_has_one_row_a_parameter() -> None:
     for row, info in zip(rows, all_infos(), strict=True):
         assert f"| `{info.name}` |" in row
         assert info.doc in row
-    texture = "| matching | `texture_threshold` | int | `10` | 0 to 10000 | Least sum of prefiltered gradient"
+    texture = "| matching | `texture_threshold` | int | `10` | 0 to 10000 | Minimum sum of absolute prefilter"
     assert any(row.startswith(texture) for row in rows)
 
 

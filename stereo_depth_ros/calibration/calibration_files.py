@@ -10,10 +10,11 @@ from pathlib import Path
 
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.projection import parameter_names
-from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera_yaml import camera_to_yaml
 from stereo_depth_ros.files.output import check_outputs, write_file
 
-__all__ = ["calibration_files", "save_calibration"]
+__all__ = ["calibration_files", "save_calibration", "write_camera"]
 
 
 def calibration_files(folder: Path) -> list[Path]:
@@ -39,6 +40,15 @@ def save_calibration(calibration: StereoCalibration, folder: Path, *, overwrite:
     write_file(report, "\n".join(_report(calibration)) + "\n", overwrite=overwrite)
     write_camera(left, calibration.rig.left, "left", overwrite=overwrite)
     write_camera(right, calibration.rig.right, "right", overwrite=overwrite)
+
+
+def write_camera(path: Path, camera: CameraModel, camera_name: str, *, overwrite: bool = False) -> None:
+    """Writes a camera file in the format of ``camera_calibration``, every number with all its digits.
+
+    Raises:
+        OutputError: the file exists and ``overwrite`` is false, or it cannot be written.
+    """
+    write_file(path, camera_to_yaml(camera, camera_name), overwrite=overwrite)
 
 
 def _report(calibration: StereoCalibration) -> Iterator[str]:
