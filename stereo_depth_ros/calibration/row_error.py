@@ -5,15 +5,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.matching.features.corners import detect_fast, mutual_best, squared_distances
+from stereo_depth_ros.matching.features.lucas_kanade import refine_right_points
 from stereo_depth_ros.matching.protocol import check_images
 
 __all__ = ["RowMatches", "match_rows"]
@@ -25,11 +24,10 @@ LARGEST_ROW_ERROR = 0.05  # of the height; and at least 8 px
 LARGEST_DISPARITY = 0.25  # of the width, either way
 MAX_BITS = 64  # of 256, that the descriptors of one place may differ in
 RATIO = 0.8  # of the distance of the second best
-WINDOW_PX = (15, 15)
+WINDOW_PX, EPSILON_PX = 15, 0.003
 MAX_REFINEMENT_PX, MAX_RETURN_PX = 3.0, 0.3
 PLANE_ROUNDS, MIN_FOR_PLANE = 3, 10
 FAR_DEVIATIONS, FAR_PX = 4.0, 1.0  # from the plane; more is wrong, less than so many px never
-_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 0.003)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,80 +78,37 @@ def match_rows(left: U8, right: U8) -> RowMatches:
         ImageError: not two gray uint8 images of one size.
     """
     check_images(left, right)
-    left_xy, left_descriptors = _corners(left, CORNERS_PER_CELL)
-    right_xy, right_descriptors = _corners(right, 2 * CORNERS_PER_CELL)
+    left_xy, left_bits = detect_fast(left, FAST_THRESHOLD, CELLS, CORNERS_PER_CELL)
+    right_xy, right_bits = detect_fast(right, FAST_THRESHOLD, CELLS, 2 * CORNERS_PER_CELL)
     if min(len(left_xy), len(right_xy)) < 2:
         return RowMatches(np.empty((0, 2)), np.empty((0, 2)))
-    i, j = _mutual_best(left_descriptors, right_descriptors, _allowed(left_xy, right_xy, left.shape))
-    return _without_wrong(_refined(left, right, left_xy[i], right_xy[j]))
+    distances = squared_distances(left_bits, right_bits)
+    distances[~_allowed(left_xy, right_xy, left.shape)] = np.inf
+    i, j = mutual_best(distances, RATIO)
+    close = distances[i, j] <= MAX_BITS
+    return _without_wrong(_refined(left, right, left_xy[i[close]], right_xy[j[close]]))
 
 
-def _corners(image: U8, per_cell: int) -> tuple[F64, U8]:
-    """Positions, float64 (N, 2) px, and ORB descriptors, uint8 (N, 32), of the strongest corners of each cell."""
-    corners = cv2.FastFeatureDetector.create(FAST_THRESHOLD).detect(image)
-    corners, words = cv2.ORB.create().compute(image, _strongest(corners, image.shape, per_cell))
-    if not corners:
-        return np.empty((0, 2)), np.empty((0, 32), np.uint8)
-    return np.array(cv2.KeyPoint.convert(corners), np.float64), np.asarray(words, np.uint8)
-
-
-def _strongest(corners: Sequence[Any], shape: tuple[int, ...], per_cell: int) -> list[Any]:
-    if not corners:
-        return []
-    xy, response = np.array(cv2.KeyPoint.convert(corners)), np.array([corner.response for corner in corners])
-    row, column = (xy[:, ::-1] * CELLS // shape[:2]).astype(np.intp).T
-    cell = row * CELLS[1] + column
-    order = np.lexsort((-response, cell))
-    place = np.arange(len(order)) - np.searchsorted(cell[order], cell[order])
-    return [corners[k] for k in order[place < per_cell]]
-
-
-def _allowed(left_xy: F64, right_xy: F64, shape: tuple[int, ...]) -> U8:
-    """uint8 (N, M), 1 where a left and a right corner are near enough to be one place."""
-    far_x, far_y = np.abs(left_xy[:, None] - right_xy).transpose(2, 0, 1)
-    near = (far_y <= max(8, LARGEST_ROW_ERROR * shape[0])) & (far_x <= LARGEST_DISPARITY * shape[1])
-    return np.asarray(near, np.uint8)
-
-
-def _mutual_best(left: U8, right: U8, allowed: U8) -> npt.NDArray[np.intp]:
-    """(2, K) indices of left and right words that are each other's nearest, the left one's by the ratio."""
-    matcher = cv2.BFMatcher.create(cv2.NORM_HAMMING)
-    from_right = matcher.knnMatch(right, left, 1, np.ascontiguousarray(allowed.T))
-    back = {best[0].queryIdx: best[0].trainIdx for best in from_right if best}
-    chosen = []
-    for best, *others in filter(None, matcher.knnMatch(left, right, 2, allowed)):
-        clear = best.distance <= MAX_BITS and all(best.distance < RATIO * other.distance for other in others)
-        if clear and back.get(best.trainIdx) == best.queryIdx:
-            chosen.append((best.queryIdx, best.trainIdx))
-    return np.array(chosen, np.intp).reshape(-1, 2).T
+def _allowed(left_xy: F64, right_xy: F64, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """bool (N, M), whether a left and a right corner are near enough to be one place."""
+    (left_x, left_y), (right_x, right_y) = left_xy.astype(np.float32).T, right_xy.astype(np.float32).T
+    near: npt.NDArray[np.bool_] = np.abs(left_x[:, None] - right_x) <= LARGEST_DISPARITY * shape[1]
+    near &= np.abs(left_y[:, None] - right_y) <= max(8, LARGEST_ROW_ERROR * shape[0])
+    return near
 
 
 def _refined(left: U8, right: U8, left_xy: F64, right_xy: F64) -> RowMatches:
-    if not len(left_xy):
-        return RowMatches(left_xy, right_xy)
-    start, guess = left_xy.astype(np.float32), right_xy.astype(np.float32)
-    moved, found = _tracked(left, right, start, guess)
-    returned, found_back = _tracked(right, left, moved, start)
-    good = found & found_back
-    good &= np.abs(moved - guess).max(axis=1) <= MAX_REFINEMENT_PX
-    good &= np.abs(returned - start).max(axis=1) <= MAX_RETURN_PX
-    return RowMatches(left_xy[good], moved[good].astype(np.float64))
-
-
-def _tracked(
-    source: U8, target: U8, points: npt.NDArray[np.float32], guess: npt.NDArray[np.float32]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(
-        source,
-        target,
-        points,
-        guess.copy(),
-        winSize=WINDOW_PX,
-        maxLevel=0,
-        criteria=_CRITERIA,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    moved, refined = refine_right_points(
+        left,
+        right,
+        left_xy,
+        right_xy,
+        window_px=WINDOW_PX,
+        max_move_px=MAX_REFINEMENT_PX,
+        epsilon_px=EPSILON_PX,
+        max_return_px=MAX_RETURN_PX,
     )
-    return moved, found.ravel() != 0
+    return RowMatches(left_xy[refined], moved[refined])
 
 
 def _without_wrong(matches: RowMatches) -> RowMatches:

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import ImageError
-from stereo_depth_ros.core.types import F32, F64, U8
-from stereo_depth_ros.matching.features.matcher import SIFT_SHIFT_PX
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.matching.features.corners import detect_sift, mutual_best, squared_distances
 
 __all__ = ["Correspondences", "match_features", "undistort_points"]
 
@@ -96,39 +96,20 @@ def match_features(left: U8, right: U8, max_features: int = 4000, ratio: float =
     Raises:
         ImageError: not gray uint8 images.
     """
-    left_px, left_descriptors = _features(left, "left", max_features)
-    right_px, right_descriptors = _features(right, "right", max_features)
+    _check_gray(left, "left")
+    _check_gray(right, "right")
+    left_px, left_descriptors = detect_sift(left, max_features, _CONTRAST)
+    right_px, right_descriptors = detect_sift(right, max_features, _CONTRAST)
     if min(len(left_px), len(right_px)) < 2:
         return Correspondences(np.empty((0, 2)), np.empty((0, 2)))
-    i, j = _mutual_best(_squared_distances(left_descriptors, right_descriptors), ratio)
+    i, j = mutual_best(squared_distances(left_descriptors, right_descriptors), ratio**2)
     # SIFT tells a corner once for each of its orientations
     single = np.unique(np.hstack((left_px[i], right_px[j])), axis=0)
     return Correspondences(single[:, :2], single[:, 2:])
 
 
-def _features(image: U8, label: str, count: int) -> tuple[F64, F32]:
-    """Positions, float64 (N, 2) px, and descriptors, float32 (N, 128) of whole numbers."""
+def _check_gray(image: U8, side: str) -> None:
     if image.dtype != np.uint8 or image.ndim != 2 or not image.size:
         raise ImageError(
-            f"{label} image is {image.dtype} of shape {image.shape}, features take uint8 (H, W): convert it to gray"
+            f"{side} image is {image.dtype} of shape {image.shape}, features take uint8 (H, W): convert it to gray"
         )
-    corners, words = cv2.SIFT.create(count, contrastThreshold=_CONTRAST).detectAndCompute(image, None)
-    if not corners:
-        return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    return np.array(cv2.KeyPoint.convert(corners), np.float64) - SIFT_SHIFT_PX, words
-
-
-def _squared_distances(left: F32, right: F32) -> F32:
-    """float32 (N, M); without rounding, since all sums of these whole numbers are below 2^24."""
-    norms = np.einsum("ij,ij->i", left, left)[:, None] + np.einsum("ij,ij->i", right, right)
-    squared: F32 = norms - 2 * (left @ right.T)
-    return squared
-
-
-def _mutual_best(squared: F32, ratio: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Pairs of a row and a column of which each is the other's least, the row's by the ratio."""
-    best = squared.argmin(axis=1)
-    rows = np.arange(len(best))
-    least, second = np.partition(squared, 1, axis=1)[:, :2].T
-    chosen = (squared.argmin(axis=0)[best] == rows) & (least < ratio**2 * second)
-    return rows[chosen], best[chosen]
