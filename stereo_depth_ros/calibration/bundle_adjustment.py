@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -16,12 +17,12 @@ from stereo_depth_ros.calibration.normal_equations import NormalEquations
 from stereo_depth_ros.calibration.projection import Projection, project
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.geometry.levenberg_marquardt import StopRules, minimize
 
 __all__ = ["BundleAdjustment", "Estimate", "adjust_bundle", "residuals_px"]
 
-_MAX_STEPS = 100
-_CONVERGED = 1e-9  # relative decrease of the sum of squares, twice in a row; far below one standard deviation
-_GIVE_UP = 1e12  # damping at which no step is left
+# A relative decrease of 1e-9 of the sum of squares is far below one standard deviation
+_STOP = StopRules(max_trials=100, tolerance=1e-9, converged_steps=2, max_damping=1e12)
 _ROUNDS = 5  # of weights
 _TAIL = 3.0  # standard deviations at which a corner's weight is a half
 
@@ -117,12 +118,12 @@ def adjust_bundle(views: Sequence[tuple[Corners, ...]], start: Estimate, robust:
         CalibrationError: the views do not determine the parameters.
     """
     weights = [tuple(np.ones(len(corners.ids)) for corners in view) for view in views]
-    estimate = _minimize(views, start, weights)
+    solution = minimize(_Iterate(views, weights, start), _STOP)
     for _ in range(_ROUNDS if robust else 0):
-        weights = _cauchy_weights(residuals_px(views, estimate))
-        estimate = _minimize(views, estimate, weights)
+        weights = _cauchy_weights(residuals_px(views, solution.estimate))
+        solution = minimize(_Iterate(views, weights, solution.estimate), _STOP)
+    estimate, equations = solution.estimate, solution.equations
     residuals = residuals_px(views, estimate)
-    equations = _equations(views, estimate, weights)
     freedom = sum(each.size for view in residuals for each in view) - len(estimate.free) - 6 * len(views)
     if freedom <= 0:
         raise CalibrationError(
@@ -163,23 +164,24 @@ def _project(estimate: Estimate, side: int, pose: F64, corners: Corners) -> tupl
     return project(estimate.model, estimate.intrinsics[side], second, corners.board_m), by_rig, by_pose
 
 
-def _minimize(views: Sequence[tuple[Corners, ...]], estimate: Estimate, weights: list[tuple[F64, ...]]) -> Estimate:
-    equations = _equations(views, estimate, weights)
-    damping, calm = 1e-3, 0
-    for _ in range(_MAX_STEPS):
-        candidate = estimate.moved(*equations.step(damping))
-        new = _equations(views, candidate, weights)
-        if not new.cost <= equations.cost:  # NaN too
-            damping *= 10
-            if damping > _GIVE_UP:
-                break
-            continue
-        calm = calm + 1 if equations.cost - new.cost <= _CONVERGED * equations.cost else 0
-        estimate, equations = candidate, new
-        damping /= 10
-        if calm == 2:
-            break
-    return estimate
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """An estimate with its normal equations."""
+
+    views: Sequence[tuple[Corners, ...]]
+    weights: list[tuple[F64, ...]]
+    estimate: Estimate
+
+    @cached_property
+    def equations(self) -> NormalEquations:
+        return _equations(self.views, self.estimate, self.weights)
+
+    @property
+    def cost(self) -> float:
+        return self.equations.cost
+
+    def trial(self, damping: float) -> _Iterate:
+        return replace(self, estimate=self.estimate.moved(*self.equations.step(damping)))
 
 
 def _equations(
