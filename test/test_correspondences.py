@@ -12,13 +12,8 @@ from two_views import K_LEFT, SIZE
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F64, U8
-from stereo_depth_ros.geometry.correspondences import Correspondences, match_features, undistort_points
-
-COEFFICIENTS = {
-    "plumb_bob": [-0.28, 0.07, 0.0006, -0.0009, 0.01],
-    "rational_polynomial": [0.4, 0.1, 0.0006, -0.0009, 0.01, 0.7, 0.15, 0.02],
-    "equidistant": [-0.03, 0.01, -0.006, 0.001],
-}
+from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
+from stereo_depth_ros.geometry.rays import undistort_points
 
 
 def camera(model: str, D: list[float]) -> CameraModel:
@@ -76,27 +71,6 @@ def test_pictures_that_are_not_grey() -> None:
 def test_points_of_different_number() -> None:
     with pytest.raises(ImageError, match=r"\(3, 2\) and \(4, 2\)"):
         Correspondences(np.zeros((3, 2)), np.zeros((4, 2)))
-
-
-@pytest.mark.parametrize("model", COEFFICIENTS)
-def test_undistorted_points_are_those_of_the_pinhole(model: str) -> None:
-    """Rays are projected with and without distortion; the one is turned into the other."""
-    side = camera(model, COEFFICIENTS[model])
-    rays = np.random.default_rng(1).uniform((-0.75, -0.5), (0.7, 0.5), (200, 2))
-    points = np.column_stack((rays, np.ones(200)))
-    none = np.zeros(3)
-    if model == "equidistant":
-        raw = cv2.fisheye.projectPoints(points[:, None], none, none, side.K, side.D)[0][:, 0]
-    else:
-        raw = cv2.projectPoints(points, none, none, side.K, side.D)[0][:, 0]
-    expected = rays * [side.K[0, 0], side.K[1, 1]] + side.K[:2, 2]
-    np.testing.assert_allclose(undistort_points(raw, side), expected, atol=1e-6)
-    assert np.abs(raw - expected).max() > 5
-
-
-def test_without_distortion_points_stay() -> None:
-    points = np.array([[3.25, 200.5], [700.0, 1.0]])
-    np.testing.assert_array_equal(undistort_points(points, camera("plumb_bob", [0.0] * 5)), points)
 
 
 def test_points_that_no_pinhole_sees_are_left_out() -> None:

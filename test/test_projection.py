@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Projection through lenses: derivatives, the way back, and where a lens folds."""
+"""Projection through lenses: derivatives, and where a lens folds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from stereo_depth_ros.calibration.projection import (
     check_model,
     parameter_names,
     project,
-    rectified_points,
     turning_radius_px,
 )
 from stereo_depth_ros.core.errors import ConfigError
@@ -38,20 +37,6 @@ def test_derivatives_are_those_of_the_projection(model: str) -> None:
         ahead, behind = (project(model, rig.left, pose + sign * step, BOARD_M).image_px for sign in (1, -1))
         numeric = ((ahead - behind) / 2e-6).ravel()
         np.testing.assert_allclose(at.by_pose[:, number], numeric, rtol=1e-4, atol=1e-3)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_rectified_points_are_those_of_a_pinhole(model: str) -> None:
-    rig = RIGS[model]
-    pose = poses(1, BOARD_M, rig, seed=5)[0]
-    raw = project(model, rig.left, pose, BOARD_M).image_px
-    pinhole = np.array([310.0, 0, 201], np.float64), np.array([0, 305.0, 149]), np.array([0, 0, 1.0])
-    P = np.column_stack((np.stack(pinhole), np.zeros(3)))
-    K = np.array([[rig.left[0], 0, rig.left[2]], [0, rig.left[1], rig.left[3]], [0, 0, 1]])
-    found = rectified_points(model, K, rig.left[4:], np.identity(3), P, raw)
-    none = np.zeros(len(MODELS["plumb_bob"]))
-    expected = project("plumb_bob", np.array([310.0, 305, 201, 149, *none]), pose, BOARD_M).image_px
-    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_names() -> None:

@@ -12,7 +12,6 @@ import pytest
 from two_views import F_TRUE, K_LEFT, K_RIGHT, POSE, SIZE, views
 
 from stereo_depth_ros.calibration.boards import create_board
-from stereo_depth_ros.calibration.projection import rectified_points
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import find_views
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
@@ -25,6 +24,7 @@ from stereo_depth_ros.datasets.stereo_images import open_stereo_images
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.epipolar import fundamental_from_pose, sampson_distance
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
+from stereo_depth_ros.geometry.rays import rectify_points
 from stereo_depth_ros.geometry.relative_pose import RelativePose
 from stereo_depth_ros.geometry.uncalibrated_rectification import (
     UncalibratedRectification,
@@ -170,7 +170,7 @@ def test_distortion_is_removed_first() -> None:
     points, none = views(50).points_m, np.zeros(3)
     for side, K, moved in ((rig.left, K_LEFT, points), (rig.right, K_RIGHT, points @ POSE.R.T + POSE.t)):
         raw = np.asarray(cv2.projectPoints(moved, none, none, K, D)[0][:, 0], np.float64)
-        through = rectified_points(side.distortion_model, side.K, side.D, side.R, side.P[:, :3], raw)
+        through = rectify_points(raw, side)
         ideal = moved @ K.T
         H = FOUND.H_left if side is rig.left else FOUND.H_right
         expected = cv2.perspectiveTransform((ideal[:, :2] / ideal[:, 2:])[:, None], H)[:, 0]

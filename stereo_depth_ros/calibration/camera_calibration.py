@@ -15,13 +15,14 @@ from stereo_depth_ros.calibration.bundle_adjustment import BundleAdjustment, Est
 from stereo_depth_ros.calibration.projection import MODELS, camera_matrix, project
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.geometry.rays import normalized_points
 
 __all__ = ["MIN_LIMIT_PX", "MIN_VIEWS", "DroppedView", "OneCamera", "calibrate_camera", "worst_view"]
 
 MIN_VIEWS = 5  # 3 determine a pinhole; two more show that they agree
 _FIELDS_OF_VIEW_DEG = (12, 20, 30, 40, 50, 60, 75, 90, 110, 130)  # across, of lenses to begin with
 _WIDE_DEG = (45, 60, 80, 100, 120, 140, 160, 180, 200, 220)
-_MAX_ANGLE = np.radians(80)  # from the axis, of points that a first guess uses
+_MAX_TANGENT = np.tan(np.radians(80))  # of the angle from the axis, of corners that a first guess uses
 _SPREADS, _TIMES = 6.0, 2.5  # a view is dropped above the others' median + 6 sigma and above 2.5 times their median
 MIN_LIMIT_PX = 0.1  # whatever the others': no corner is found better
 
@@ -132,7 +133,8 @@ def _focal_lengths_px(model: str, width: int) -> F64:
 def _first_pose(model: str, intrinsics: F64, corners: Corners) -> tuple[F64, float]:
     """Pose and rms in px by a method for planes; infinite where there is none."""
     none = np.zeros(6), np.inf
-    rays, usable = _rays(model, intrinsics, corners.image_px)
+    rays = normalized_points(corners.image_px, model, camera_matrix(intrinsics), intrinsics[4:])
+    usable = np.linalg.norm(rays, axis=1) < _MAX_TANGENT
     if usable.sum() < 4:
         return none
     points, rays = corners.board_m[usable].reshape(-1, 1, 3), rays[usable].reshape(-1, 1, 2)
@@ -148,15 +150,3 @@ def _first_pose(model: str, intrinsics: F64, corners: Corners) -> tuple[F64, flo
     errors = project(model, intrinsics, pose, corners.board_m).image_px - corners.image_px
     rms = float(np.sqrt(np.square(errors).sum(axis=1).mean()))
     return (pose, rms) if np.isfinite(rms) else none
-
-
-def _rays(model: str, intrinsics: F64, image_px: F64) -> tuple[F64, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """Points at distance 1 in front of a lens without distortion coefficients, and which of them are usable."""
-    K = camera_matrix(intrinsics)
-    rays = (image_px - K[:2, 2]) / K[[0, 1], [0, 1]]
-    if model != "equidistant":
-        return rays, np.ones(len(rays), bool)
-    angles = np.linalg.norm(rays, axis=1)
-    usable = angles < _MAX_ANGLE
-    safe = np.clip(angles, 1e-9, _MAX_ANGLE)
-    return rays * (np.tan(safe) / safe)[:, None], usable

@@ -20,7 +20,6 @@ __all__ = [
     "check_model",
     "parameter_names",
     "project",
-    "rectified_points",
     "turning_radius_px",
 ]
 
@@ -78,21 +77,6 @@ def project(model: str, intrinsics: F64, pose: F64, points_m: F64) -> Projection
         return Projection(pixels.reshape(-1, 2), J[:, :8], J[:, 8:14])
     pixels, J = cv2.projectPoints(points, pose[:3], pose[3:], K, D)  # columns rotation, translation, f, c, coefficients
     return Projection(pixels.reshape(-1, 2), J[:, 6 : 10 + D.size], J[:, :6])
-
-
-def rectified_points(model: str, K: F64, D: F64, R: F64, P: F64, image_px: F64) -> F64:
-    """Raw pixels, float64 (N, 2), as pixels of the rectified camera (R, P)."""
-    if not len(image_px):
-        return np.zeros((0, 2))
-    points = image_px.reshape(-1, 1, 2)
-    if model == "equidistant":
-        return np.asarray(cv2.fisheye.undistortPoints(points, K, D, R=R, P=P), np.float64).reshape(-1, 2)
-    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)  # 5 steps, the default, are too few
-    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-        undistorted = cv2.undistortPointsIter(points, K, D, R, P, criteria)
-    else:
-        undistorted = cv2.undistortPoints(points, K, D, R=R, P=P, criteria=criteria)
-    return np.asarray(undistorted, np.float64).reshape(-1, 2)
 
 
 def turning_radius_px(model: str, intrinsics: F64, size: tuple[int, int]) -> tuple[float, float]:

@@ -23,10 +23,11 @@ from stereo_depth_ros.calibration.camera_calibration import (
     worst_view,
 )
 from stereo_depth_ros.calibration.distortion_range import check_edges, left_out, without_folding
-from stereo_depth_ros.calibration.projection import camera_matrix, check_model, rectified_points, turning_radius_px
+from stereo_depth_ros.calibration.projection import camera_matrix, check_model, turning_radius_px
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import MAX_BASELINE_M, MIN_BASELINE_M, StereoRig
 from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.geometry.rays import rectify_points
 
 __all__ = ["calibrate"]
 
@@ -218,7 +219,7 @@ def _row_errors_px(rig: StereoRig, view: BoardView) -> F64:
     """Left row less right row of the corners that both cameras see, after rectification, px."""
     _, at_left, at_right = np.intersect1d(view.left.ids, view.right.ids, return_indices=True)
     rows = [
-        rectified_points(camera.distortion_model, camera.K, camera.D, camera.R, camera.P, corners.image_px[at])[:, 1]
+        rectify_points(corners.image_px[at], camera)[:, 1]
         for camera, corners, at in ((rig.left, view.left, at_left), (rig.right, view.right, at_right))
     ]
     return rows[0] - rows[1]

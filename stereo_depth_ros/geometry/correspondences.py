@@ -7,20 +7,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.geometry.rays import undistort_points
 from stereo_depth_ros.matching.features.corners import detect_sift, mutual_best, squared_distances
 
-__all__ = ["Correspondences", "match_features", "undistort_points"]
+__all__ = ["Correspondences", "match_features"]
 
-_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 _CONTRAST = 0.02  # half of OpenCV's: dim rooms have few corners above that
-_FAR_PX = 1e5  # OpenCV puts points that no pinhole camera can see at +-1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,29 +53,6 @@ class Correspondences:
         """Where cameras with the same K and no distortion would see the points; without those that they cannot see."""
         moved = Correspondences(undistort_points(self.left_px, left), undistort_points(self.right_px, right))
         return moved.take(np.flatnonzero(np.isfinite(moved.left_px + moved.right_px).all(axis=1)))
-
-
-def undistort_points(points_px: F64, camera: CameraModel) -> F64:
-    """Where a camera with the same K and no distortion sees the points of a raw image.
-
-    Args:
-        points_px: float64 (N, 2), px.
-
-    Returns:
-        float64 (N, 2), px; NaN where a camera without distortion does not see the point (90 degrees off the axis).
-    """
-    if not len(points_px) or not camera.D.any():
-        return points_px.copy()
-    pixels = np.ascontiguousarray(points_px[:, None])
-    if camera.distortion_model == "equidistant":
-        moved = cv2.fisheye.undistortPoints(pixels, camera.K, camera.D, P=camera.K, criteria=_CRITERIA)
-    elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-        moved = cv2.undistortPointsIter(pixels, camera.K, camera.D, np.identity(3), camera.K, _CRITERIA)
-    else:
-        moved = cv2.undistortPoints(pixels, camera.K, camera.D, None, np.identity(3), camera.K, _CRITERIA)
-    points: F64 = moved[:, 0].copy()
-    points[np.abs(points).max(axis=1) > _FAR_PX] = np.nan
-    return points
 
 
 def match_features(left: U8, right: U8, max_features: int = 4000, ratio: float = 0.75) -> Correspondences:

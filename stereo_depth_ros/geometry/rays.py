@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""In which direction a camera sees a pixel, lens distortion included, beyond 90 degrees off the axis too."""
+"""Lens distortion undone: rays of raw pixels, pixels without distortion, rectified pixels."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import numpy as np
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.types import F64
-from stereo_depth_ros.geometry.correspondences import undistort_points
+from stereo_depth_ros.geometry.epipolar import homogeneous
 
-__all__ = ["camera_rays"]
+__all__ = ["camera_rays", "normalized_points", "rectify_points", "undistort_points"]
 
+_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+_MAX_TANGENT = 300.0  # 89.8 degrees off the axis; OpenCV sets what no pinhole camera can see to +-1e6
 _STEPS = 50  # of Newton's method
 _TOLERANCE_PX = 0.01  # within which a pixel comes back from its ray
 
@@ -25,7 +27,7 @@ def camera_rays(points_px: F64, camera: CameraModel) -> F64:
     """
     if camera.distortion_model == "equidistant":
         return _fisheye_rays(points_px, camera)
-    scaled = (undistort_points(points_px, camera) - camera.K[:2, 2]) / [camera.K[0, 0], camera.K[1, 1]]
+    scaled = normalized_points(points_px, camera.distortion_model, camera.K, camera.D)
     rays = np.column_stack((scaled, np.ones(len(scaled))))
     seen = np.isfinite(scaled).all(axis=1)
     rays[~seen] = 0, 0, 1
@@ -36,6 +38,53 @@ def camera_rays(points_px: F64, camera: CameraModel) -> F64:
     rays[~seen] = np.nan
     unit: F64 = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     return unit
+
+
+def normalized_points(points_px: F64, distortion_model: str, K: F64, D: F64) -> F64:
+    """x / z and y / z of the rays of raw pixels, float64 (N, 2); NaN where they are 90 degrees off the axis or more.
+
+    Args:
+        points_px: float64 (N, 2).
+        distortion_model: "plumb_bob", "rational_polynomial" or "equidistant".
+        K: float64 (3, 3), px.
+        D: float64 (n,), coefficients of the model.
+    """
+    if not len(points_px):
+        return np.empty((0, 2))
+    if distortion_model != "equidistant" and not D.any():
+        return np.asarray((points_px - K[:2, 2]) / [K[0, 0], K[1, 1]], np.float64)
+    pixels = np.ascontiguousarray(points_px[:, None])
+    if distortion_model == "equidistant":
+        found = cv2.fisheye.undistortPoints(pixels, K, D, criteria=_CRITERIA)
+    elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+        found = cv2.undistortPointsIter(pixels, K, D, np.identity(3), np.identity(3), _CRITERIA)
+    else:
+        found = cv2.undistortPoints(pixels, K, D, None, np.identity(3), np.identity(3), _CRITERIA)
+    points: F64 = found[:, 0].copy()
+    points[np.abs(points).max(axis=1) > _MAX_TANGENT] = np.nan
+    return points
+
+
+def undistort_points(points_px: F64, camera: CameraModel) -> F64:
+    """Where a camera with the same K and no distortion sees the points of a raw image.
+
+    Args:
+        points_px: float64 (N, 2), px.
+
+    Returns:
+        float64 (N, 2), px; NaN where a camera without distortion does not see the point (90 degrees off the axis).
+    """
+    if not camera.D.any():
+        return points_px.copy()
+    points = normalized_points(points_px, camera.distortion_model, camera.K, camera.D)
+    return np.asarray(points * [camera.K[0, 0], camera.K[1, 1]] + camera.K[:2, 2], np.float64)
+
+
+def rectify_points(points_px: F64, camera: CameraModel) -> F64:
+    """Raw pixels, float64 (N, 2), as pixels of the rectified camera (R, P); NaN as of :func:`normalized_points`."""
+    points = normalized_points(points_px, camera.distortion_model, camera.K, camera.D)
+    rectified: F64 = homogeneous(points) @ (camera.P[:, :3] @ camera.R).T
+    return rectified[:, :2] / rectified[:, 2:]
 
 
 def _fisheye_rays(points_px: F64, camera: CameraModel) -> F64:

@@ -15,10 +15,11 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64, U8, Reason
-from stereo_depth_ros.geometry.correspondences import Correspondences, undistort_points
+from stereo_depth_ros.geometry.correspondences import Correspondences
 from stereo_depth_ros.geometry.epipolar import epipoles
 from stereo_depth_ros.geometry.essential import estimate_essential
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
+from stereo_depth_ros.geometry.rays import undistort_points
 from stereo_depth_ros.geometry.relative_pose import RelativePose, cross_matrix
 from stereo_depth_ros.geometry.triangulation import (
     MIN_PARALLAX_RAD,
