@@ -48,6 +48,14 @@ def test_without_distortion_points_stay() -> None:
     np.testing.assert_array_equal(undistort_points(points, camera("plumb_bob", [0.0] * 5)), points)
 
 
+def test_a_fisheye_whose_coefficients_are_zero_is_not_a_pinhole() -> None:
+    """The radius in the image is f theta; without distortion it is f tan(theta)."""
+    side, theta = camera("equidistant", [0.0] * 4), np.radians(50)
+    raw = np.array([[side.K[0, 2] + side.K[0, 0] * theta, side.K[1, 2]]])
+    expected = [[side.K[0, 2] + side.K[0, 0] * np.tan(theta), side.K[1, 2]]]
+    np.testing.assert_allclose(undistort_points(raw, side), expected, atol=1e-6)
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_rectified_points_are_those_of_a_pinhole(model: str) -> None:
     rig = RIGS[model]

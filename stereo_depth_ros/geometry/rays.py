@@ -74,7 +74,7 @@ def undistort_points(points_px: F64, camera: CameraModel) -> F64:
     Returns:
         float64 (N, 2), px; NaN where a camera without distortion does not see the point (90 degrees off the axis).
     """
-    if not camera.D.any():
+    if camera.distortion_model != "equidistant" and not camera.D.any():
         return points_px.copy()
     points = normalized_points(points_px, camera.distortion_model, camera.K, camera.D)
     return np.asarray(points * [camera.K[0, 0], camera.K[1, 1]] + camera.K[:2, 2], np.float64)
