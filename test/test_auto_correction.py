@@ -22,7 +22,7 @@ RIG = StereoRig.from_calibration(K_LEFT, D, K_RIGHT, D, *POSE, (640, 430))
 
 
 def pair(seed: int, rig: StereoRig, w: F64, noise_px: float = 0.15) -> RowMatches:
-    """Rows of a rectified pair: the right camera has turned by w since RIG was calibrated, and ``rig`` rectifies."""
+    """Row matches of a rectified pair: the right camera has rotated by w since RIG was calibrated, and ``rig`` rectifies."""
     random = np.random.default_rng(seed)
     depth_m = random.uniform(0.8, 12, 250)
     left = random.uniform((30, 20), (610, 410), (250, 2))
@@ -40,7 +40,7 @@ def run(loop: AutoCorrection, w: F64, pairs: int, seed: int = 0) -> list[bool]:
     used, changed = [loop.rig] * STALE_PAIRS, []
     for number in range(pairs):
         used.append(loop.rig)
-        changed.append(loop.look(pair(seed + number, used[-1 - STALE_PAIRS], w))[1])
+        changed.append(loop.add(pair(seed + number, used[-1 - STALE_PAIRS], w))[1])
     return changed
 
 
@@ -112,8 +112,8 @@ def test_what_is_too_large_is_refused_and_nothing_changes() -> None:
     loop = AutoCorrection(RIG, CorrectionLimits(rotation_deg=0.25))
     assert not any(run(loop, np.radians([0.3, 0, 0]), 20))
     assert loop.rig is RIG
-    assert "turned by 0." in loop.refusal
-    assert "corrected are up to 0.25" in loop.refusal
+    assert "rotated by 0." in loop.refusal
+    assert "limit of a correction 0.25" in loop.refusal
 
 
 def test_the_limit_is_of_all_corrections_together() -> None:
@@ -122,7 +122,7 @@ def test_the_limit_is_of_all_corrections_together() -> None:
     kept = loop.rig
     run(loop, np.radians([0.7, 0, 0]), 40, seed=100)
     assert loop.rig is kept
-    assert "the corrections together come to 0.7" in loop.refusal
+    assert "the total correction would be 0.7" in loop.refusal
     run(loop, np.radians([0.3, 0, 0]), 40, seed=200)
     assert loop.refusal == ""
 

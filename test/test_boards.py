@@ -118,7 +118,7 @@ def test_charuco_of_which_a_part_is_covered() -> None:
 @needs_detectors
 @pytest.mark.parametrize(("border_bits", "turns"), [(2, 0), (1, 0), (2, 1)])
 def test_aprilgrid(border_bits: int, turns: int) -> None:
-    """With the wide border of Kalibr and the narrow one of others, whichever corner of a tag its maker calls first."""
+    """With Kalibr's wide border and the narrow one of others, whichever corner of a tag is its first."""
     sample = aprilgrid(border_bits, turns)
     pose = np.array([2.9, 0.1, 0.2, -0.1, 0.12, 0.5])  # the board's y goes up
     left, exact_left, right, exact_right = found_and_exact(sample, PINHOLE, pose)
@@ -146,7 +146,7 @@ def test_edges_are_as_wide_as_they_are_blurred() -> None:
     assert widths[1] / widths[0] == pytest.approx(1.45, rel=0.1)
 
 
-def test_chessboards_are_counted_alike_in_both_eyes() -> None:
+def test_chessboards_are_counted_equally_in_both_cameras() -> None:
     board = create_board("chessboard", (5, 4), 0.03)
     board_m = chessboard_points(5, 4)
     left = Corners(np.arange(20), board_m, board_m[:, :2] * 900 + [100, 80])
@@ -155,7 +155,7 @@ def test_chessboards_are_counted_alike_in_both_eyes() -> None:
         np.testing.assert_allclose(board.align(left, right).image_px, left.image_px - [30, 2])
 
 
-def test_square_chessboards_are_counted_alike_when_turned_by_a_quarter() -> None:
+def test_square_chessboards_are_counted_equally_when_rotated_by_90_degrees() -> None:
     board = create_board("chessboard", (4, 4), 0.03)
     board_m = chessboard_points(4, 4)
     left = Corners(np.arange(16), board_m, board_m[:, :2] * 900 + [100, 80])
@@ -164,7 +164,7 @@ def test_square_chessboards_are_counted_alike_when_turned_by_a_quarter() -> None
     np.testing.assert_allclose(board.align(left, right).image_px, left.image_px - [30, 2])
 
 
-def test_boards_that_cannot_be() -> None:
+def test_invalid_boards() -> None:
     with pytest.raises(ConfigError, match=r"'circles' is none of chessboard, charuco, aprilgrid"):
         create_board("circles", (9, 6), 0.025)
     with pytest.raises(ConfigError, match=r"size 9x2 is below 3x3: count the inner corners"):
@@ -174,12 +174,12 @@ def test_boards_that_cannot_be() -> None:
 
 
 @needs_detectors
-def test_marker_boards_that_cannot_be() -> None:
+def test_invalid_marker_boards() -> None:
     with pytest.raises(ConfigError, match=r"marker 0\.05 m is not within 0\.\.0\.03 m"):
         create_board("charuco", (7, 5), 0.03, marker_m=0.05)
     with pytest.raises(ConfigError, match=r"'DICT_9X9' is none of .*DICT_4X4_50"):
         create_board("charuco", (7, 5), 0.03, dictionary="DICT_9X9")
-    with pytest.raises(ConfigError, match=r"DICT_4X4_50 has 50 markers, a board of 12x10 squares has 60"):
+    with pytest.raises(ConfigError, match=r"DICT_4X4_50 has 50 markers, 12x10 squares have 60: use the dictionary"):
         create_board("charuco", (12, 10), 0.03)
     with pytest.raises(ConfigError, match=r"spacing 3 is outside 0\.\.2"):
         create_board("aprilgrid", (6, 6), 0.08, spacing=3)
@@ -189,5 +189,5 @@ def test_marker_boards_that_cannot_be() -> None:
 
 def test_without_detectors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(cv2, "aruco", raising=False)
-    with pytest.raises(ConfigError, match=r"no marker detectors, they came with 4\.7: install"):
+    with pytest.raises(ConfigError, match=r"no marker detectors, which were added in 4\.7: install"):
         create_board("aprilgrid", (6, 6), 0.08)

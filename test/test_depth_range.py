@@ -15,11 +15,11 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.geometry.depth_range import (
     Precision,
+    default_nearest_m,
     depth_errors,
     depth_range,
     recommended_search,
-    usual_nearest,
-    whole_depths,
+    rounded_depths_m,
 )
 
 RIG = StereoRig.from_rectified(400.0, 420.0, 330.0, 318.0, 205.0, 0.125, (640, 430))  # f B = 50, doffs = 12
@@ -78,14 +78,14 @@ def test_recommended_search_reaches_from_the_distance_to_infinity() -> None:
 
 
 def test_usual_nearest_is_an_eighth_of_the_width() -> None:
-    assert 50 / usual_nearest(RIG) == pytest.approx(640 / 8)
+    assert 50 / default_nearest_m(RIG) == pytest.approx(640 / 8)
 
 
 @pytest.mark.parametrize(
     ("first_m", "last_m", "step_m"), [(0.3, 12, 1), (0.3, 4, 0.5), (0.3, 0.8, 0.1), (2, 900, 5), (0.5, 3000, 20)]
 )
 def test_whole_depths(first_m: float, last_m: float, step_m: float) -> None:
-    depths = whole_depths(first_m, last_m)
+    depths = rounded_depths_m(first_m, last_m)
     np.testing.assert_allclose(np.diff(depths), step_m)
     assert first_m <= depths[0] < first_m + step_m
     assert last_m - step_m < depths[-1] <= last_m

@@ -35,7 +35,7 @@ def moved(w_deg: F64 | list[float], scale: float = 0.0) -> tuple[F64, float]:
 
 
 def frame(seed: int, w: F64, scale: float = 0.0, count: int = 300, noise_px: float = 0.15) -> RowMatches:
-    """What a rectified pair shows when the rays of the right camera have turned by w and f has grown."""
+    """Row matches of a rectified pair when the rays of the right camera have rotated by w and f has changed."""
     random = np.random.default_rng(seed)
     left = random.uniform((40, 5), (635, 425), (count, 2))
     depth_m = random.uniform(0.7, 12, count)
@@ -252,11 +252,13 @@ def test_scale_is_corrected() -> None:
 
 def test_corrections_have_limits() -> None:
     found = estimate(np.zeros(3))
-    with pytest.raises(CalibrationError, match=r"turned by 1\.200 degrees, corrected are up to 1: .*calibrate again"):
+    with pytest.raises(
+        CalibrationError, match=r"rotated by 1\.200 degrees, limit of a correction 1: .*calibrate again"
+    ):
         corrected_rig(RIG, replace(found, rotation_deg=np.array([0.1, -1.2, 0.0])), reference_yaw_deg=0.0)
-    with pytest.raises(CalibrationError, match=r"changed by -2\.00 %, corrected are up to 1 %"):
+    with pytest.raises(CalibrationError, match=r"changed by -2\.00 %, limit of a correction 1 %"):
         corrected_rig(RIG, replace(found, rotation_deg=np.zeros(3), scale=-0.02))
-    with pytest.raises(CalibrationError, match=r"corrected are up to 0\.05"):
+    with pytest.raises(CalibrationError, match=r"limit of a correction 0\.05"):
         corrected_rig(RIG, replace(found, rotation_deg=np.array([0.1, 0, 0])), CorrectionLimits(rotation_deg=0.05))
 
 

@@ -11,9 +11,9 @@ from rendered_boards import RIGS, SIZE, chessboard_points, poses
 from stereo_depth_ros.calibration.projection import (
     MODELS,
     check_model,
+    distortion_range_px,
     parameter_names,
     project,
-    turning_radius_px,
 )
 from stereo_depth_ros.core.errors import ConfigError
 
@@ -30,13 +30,13 @@ def test_derivatives_are_those_of_the_projection(model: str) -> None:
         step[number] = 1e-4 * max(abs(rig.left[number]), 0.1)
         ahead, behind = (project(model, rig.left + sign * step, pose, BOARD_M).image_px for sign in (1, -1))
         numeric = ((ahead - behind) / (2 * step[number])).ravel()
-        np.testing.assert_allclose(at.by_intrinsics[:, number], numeric, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(at.jacobian_intrinsics[:, number], numeric, rtol=1e-4, atol=1e-4)
     for number in range(6):
         step = np.zeros(6)
         step[number] = 1e-6
         ahead, behind = (project(model, rig.left, pose + sign * step, BOARD_M).image_px for sign in (1, -1))
         numeric = ((ahead - behind) / 2e-6).ravel()
-        np.testing.assert_allclose(at.by_pose[:, number], numeric, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(at.jacobian_pose[:, number], numeric, rtol=1e-4, atol=1e-3)
 
 
 def test_names() -> None:
@@ -48,8 +48,8 @@ def test_names() -> None:
 def test_where_a_lens_folds() -> None:
     """r (1 + k r^2) has its turn at r = 1 / sqrt(-3 k), where the radius is 2/3 of that."""
     intrinsics = np.array([300.0, 300, 199.5, 149.5, -0.8, 0, 0, 0, 0])
-    turn_px, corner_px = turning_radius_px("plumb_bob", intrinsics, SIZE)
+    turn_px, corner_px = distortion_range_px("plumb_bob", intrinsics, SIZE)
     assert turn_px == pytest.approx(300 * 2 / 3 / np.sqrt(2.4), rel=1e-3)
     assert corner_px == pytest.approx(np.hypot(199.5, 149.5))
-    assert turning_radius_px("plumb_bob", RIGS["plumb_bob"].left, SIZE)[0] == float("inf")
-    assert turning_radius_px("equidistant", RIGS["equidistant"].left, SIZE)[0] == float("inf")
+    assert distortion_range_px("plumb_bob", RIGS["plumb_bob"].left, SIZE)[0] == float("inf")
+    assert distortion_range_px("equidistant", RIGS["equidistant"].left, SIZE)[0] == float("inf")

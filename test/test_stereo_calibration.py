@@ -16,10 +16,10 @@ from rendered_boards import FISHEYE, RIGS, SIZE, exact_views
 
 from stereo_depth_ros.calibration.board_views import BoardView
 from stereo_depth_ros.calibration.boards import Corners, create_board
-from stereo_depth_ros.calibration.bundle_adjustment import Estimate
+from stereo_depth_ros.calibration.bundle_adjustment import BundleParameters
 from stereo_depth_ros.calibration.calibration_files import save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
-from stereo_depth_ros.calibration.distortion_range import check_edges
+from stereo_depth_ros.calibration.distortion_range import check_distortion_range
 from stereo_depth_ros.calibration.row_error import match_rows
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
@@ -51,14 +51,14 @@ def test_exact_corners_give_the_cameras(model: str) -> None:
 
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
 def test_standard_deviations_are_those_of_many_draws(model: str) -> None:
-    """The Jacobian's and the views' own estimate, of which the larger one is told, so that it is a little careful."""
+    """The larger of the estimates from the Jacobian and from the views, which is slightly conservative."""
     draws = [calibrate(exact_views(RIGS[model], 10, 0.2, seed), model) for seed in range(12)]
     true = RIGS[model]
     errors = np.array(
         [[d.left.K[0, 0] - true.left[0], d.right.K[0, 2] - true.right[2], *(d.T - true.rig[3:])] for d in draws]
     )
-    told = np.array([[d.left.sigmas[0], d.right.sigmas[2], *d.T_sigma_m] for d in draws])
-    share = np.sqrt(np.mean((errors / told) ** 2, axis=0))
+    sigmas = np.array([[d.left.sigmas[0], d.right.sigmas[2], *d.T_sigma_m] for d in draws])
+    share = np.sqrt(np.mean((errors / sigmas) ** 2, axis=0))
     # Of 12 draws the root mean square is known to 20 %
     assert (share > 0.3).all()
     assert (share < 1.5).all()
@@ -66,7 +66,7 @@ def test_standard_deviations_are_those_of_many_draws(model: str) -> None:
 
 
 def test_errors_fall_as_the_root_of_the_number() -> None:
-    """Of the same poses, each seen once or four times: what the views tell is four times as much."""
+    """The same poses, each recorded once or four times, which is four times the information."""
     exact, true = exact_views(RIGS["plumb_bob"], 10, 0.0), RIGS["plumb_bob"]
 
     def noisy(corners: Corners, random: np.random.Generator) -> Corners:
@@ -89,7 +89,7 @@ def test_errors_fall_as_the_root_of_the_number() -> None:
         rms: F64 = np.sqrt(np.mean(np.square(found), axis=0))
         return rms
 
-    # The mean ratio of seven parameters over six draws is known to 14 %; 1 would be no fall, 4 that of 1 / n
+    # The mean ratio of seven parameters over six draws is known to 14 %; 1 would be no decrease, 4 a decrease by 1 / n
     assert np.exp(np.log(errors(1) / errors(4)).mean()) == pytest.approx(2, rel=0.35)
 
 
@@ -109,7 +109,7 @@ def test_a_view_with_wrong_corners_is_dropped_and_named() -> None:
     assert found.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=5e-4)
 
 
-def test_a_view_whose_eyes_were_not_exposed_together_is_dropped_and_named() -> None:
+def test_a_view_whose_cameras_were_not_exposed_together_is_dropped_and_named() -> None:
     """Each camera by itself fits: the board moved between the two images."""
     views, later = exact_views(FISHEYE, 12, 0.1), exact_views(FISHEYE, 12, 0.1, seed=9)
     views[3] = replace(views[3], right=later[3].right)
@@ -129,7 +129,7 @@ def test_what_is_too_little() -> None:
         calibrate(views[:4], "equidistant")
     with pytest.raises(ConfigError, match="'fisheye' is none of"):
         calibrate(views, "fisheye")
-    with pytest.raises(CalibrationError, match=r"view02 is 320x240, view00 is 400x300"):
+    with pytest.raises(CalibrationError, match=r"view02: image size 320x240, view00 is 400x300"):
         calibrate([*views[:2], replace(views[2], size=(320, 240)), *views[3:]], "equidistant")
 
 
@@ -142,7 +142,7 @@ def test_views_that_are_one_view() -> None:
 
 
 def test_a_fisheye_whose_views_stay_in_the_middle_is_rectified_all_the_same() -> None:
-    """With k4 free these lenses fold back within the image, and have no rectified image."""
+    """With k4 free the distortion of these lenses decreases within the image, which cannot be rectified."""
     for seed in (0, 1, 5):
         found = calibrate(exact_views(FISHEYE, 6, 0.2, seed + 100), "equidistant")
         assert any("do not determine" in text and "k4" in text for text in found.warnings)
@@ -154,10 +154,10 @@ def test_a_fisheye_whose_views_stay_in_the_middle_is_rectified_all_the_same() ->
 
 
 def test_a_fisheye_that_cannot_be_rectified() -> None:
-    """r = theta (1 - 0.4 theta^2) turns at theta = 0.913, 104 px from the center of an image of 400 x 300."""
+    """r = theta (1 - 0.4 theta^2) is largest at theta = 0.913, 104 px from the center of an image of 400 x 300."""
     lens = np.array([171.0, 171, 199.5, 149.5, -0.4, 0, 0, 0])
-    with pytest.raises(CalibrationError, match=r"left: beyond 104 px .* folds back.* up to 200 px away: it cannot be"):
-        check_edges(Estimate("equidistant", (lens, lens), FISHEYE.rig, np.zeros((0, 6))), SIZE)
+    with pytest.raises(CalibrationError, match=r"left camera: .* beyond 104 px .* up to 200 px away: it cannot be"):
+        check_distortion_range(BundleParameters("equidistant", (lens, lens), FISHEYE.rig, np.zeros((0, 6))), SIZE)
 
 
 def part(corners: Corners, keep: npt.NDArray[np.bool_]) -> Corners:
@@ -180,7 +180,7 @@ def test_views_of_different_parts_of_a_board() -> None:
         calibrate(halves)
 
 
-def test_pictures_that_do_not_belong_together() -> None:
+def test_images_that_do_not_belong_together() -> None:
     """Each right image is that of the next pair."""
     views = exact_views(RIGS["plumb_bob"], 10, 0.1)
     views = [replace(view, right=views[(k + 1) % len(views)].right) for k, view in enumerate(views)]
@@ -188,16 +188,20 @@ def test_pictures_that_do_not_belong_together() -> None:
         calibrate(views)
 
 
-def test_exchanged_eyes() -> None:
+def test_swapped_cameras() -> None:
     views = [replace(view, left=view.right, right=view.left) for view in exact_views(FISHEYE, 10, 0.1)]
-    with pytest.raises(CalibrationError, match=r"left of the left one: exchange the images"):
+    with pytest.raises(
+        CalibrationError, match=r"-?[\d.]+ m to the left of the left camera: exchange the left and right images"
+    ):
         calibrate(views, "equidistant")
 
 
-def test_square_in_millimetres() -> None:
+def test_square_in_millimeters() -> None:
     views = exact_views(FISHEYE, 10, 0.0)
     views[0].left.board_m[:] *= 1000  # all views have this array
-    with pytest.raises(CalibrationError, match=r"apart, outside .* given in meters, 25 mm are 0\.025"):
+    with pytest.raises(
+        CalibrationError, match=r"baseline is 11\d\.\d+ m, outside .*square in meters, 25 mm are 0\.025"
+    ):
         calibrate(views, "equidistant")
 
 

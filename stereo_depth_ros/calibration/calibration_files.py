@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a calibration: left.yaml and right.yaml for ROS, calibration.json and calibration.txt for people."""
+"""Files of a calibration: camera infos left.yaml and right.yaml, report calibration.json and calibration.txt."""
 
 from __future__ import annotations
 
@@ -17,17 +17,22 @@ __all__ = ["save_calibration"]
 
 
 def save_calibration(calibration: StereoCalibration, folder: Path) -> None:
-    """Writes the files into a folder, which is made where it is not there.
+    """Write the files into a folder, which is created if missing.
 
     Raises:
-        CalibrationError: they cannot be written.
+        CalibrationError: the files cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "calibration.json").write_text(json.dumps(calibration.to_json(), indent=2) + "\n", encoding="utf-8")
         (folder / "calibration.txt").write_text("\n".join(_report(calibration)) + "\n", encoding="utf-8")
     except OSError as error:
-        raise CalibrationError(f"{folder}: cannot be written ({error.strerror}): choose another folder") from error
+        raise CalibrationError(
+            f"cannot be written ({error.strerror})",
+            subject=str(folder),
+            remedy="choose another folder",
+            settings=("output",),
+        ) from error
     write_camera(folder / "left.yaml", calibration.rig.left, "left")
     write_camera(folder / "right.yaml", calibration.rig.right, "right")
 
@@ -38,7 +43,7 @@ def _report(calibration: StereoCalibration) -> Iterator[str]:
     yield f"baseline {1e3 * c.baseline_m:.3f} +- {1e3 * c.baseline_sigma_m:.3f} mm"
     yield f"rms left {c.left.rms_px:.4f} px, right {c.right.rms_px:.4f} px, both {c.rms_stereo_px:.4f} px"
     yield f"rms of each camera alone: left {c.left.rms_alone_px:.4f} px, right {c.right.rms_alone_px:.4f} px"
-    yield f"rows after rectification: rms {c.epipolar_rms_px:.4f} px"
+    yield f"row error after rectification: rms {c.epipolar_rms_px:.4f} px"
     for side, camera in (("left", c.left), ("right", c.right)):
         yield ""
         yield f"{side}: value and standard deviation"
@@ -55,4 +60,4 @@ def _report(calibration: StereoCalibration) -> Iterator[str]:
         )
     yield from (f"dropped {view.name}: {view.reason}" for view in c.dropped)
     yield from (f"warning: {text}" for text in c.warnings)
-    yield from (f"to do better: {text}" for text in c.coverage.missing)
+    yield from (f"to improve: {text}" for text in c.coverage.missing)

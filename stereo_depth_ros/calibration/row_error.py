@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Features of a rectified pair that are matched across rows, and how far apart their rows are."""
+"""Row errors of a rectified pair, measured by features that are matched across rows."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ CELLS = (6, 10)  # rows and columns of the image, each with its own strongest co
 CORNERS_PER_CELL = 24  # of the left image; twice as many of the right, where the same place may be in another cell
 FAST_THRESHOLD = 7
 LARGEST_ROW_ERROR = 0.05  # of the height; and at least 8 px
-LARGEST_DISPARITY = 0.25  # of the width, either way
-MAX_BITS = 64  # of 256, that the descriptors of one place may differ in
-RATIO = 0.8  # of the distance of the second best
+LARGEST_DISPARITY = 0.25  # of the width, positive or negative
+MAX_BITS = 64  # of 256: largest Hamming distance of a match
+RATIO = 0.8  # of Lowe's test: largest ratio of the distances of the best and the second best match
 WINDOW_PX, EPSILON_PX = 15, 0.003
 MAX_REFINEMENT_PX, MAX_RETURN_PX = 3.0, 0.3
 PLANE_ROUNDS, MIN_FOR_PLANE = 3, 10
-FAR_DEVIATIONS, FAR_PX = 4.0, 1.0  # from the plane; more is wrong, less than so many px never
+OUTLIER_SIGMAS, OUTLIER_PX = 4.0, 1.0  # residuals from the plane above both are outliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class RowMatches:
 
     @property
     def median_px(self) -> float:
-        """Half of the row errors are smaller, either way; NaN without matches."""
+        """Median of the absolute row errors; NaN without matches."""
         return float(np.median(np.abs(self.errors_px))) if len(self) else math.nan
 
     @property
@@ -62,17 +62,17 @@ class RowMatches:
 
 
 def match_rows(left: U8, right: U8) -> RowMatches:
-    """Corners (FAST, Rosten and Drummond 2006) from all over a pair, matched in both directions by ORB (Rublee 2011).
+    """Match FAST corners (Rosten and Drummond 2006) by mutually best ORB descriptors (Rublee et al. 2011).
 
-    Rows may differ by 5 % of the height. Right points are refined to a small part of a pixel (Lucas and Kanade 1981),
-    and kept where the way back ends at the left point.
+    Rows may differ by 5 % of the height. Right points are refined to sub-pixel accuracy (Lucas and Kanade 1981), and
+    rejected where tracking back does not end at the left point.
 
     Args:
         left, right: uint8 (H, W), gray, rectified.
 
     Returns:
-        The matches, in a fixed order; few or none where the images show nothing in common. Those are left out whose
-        row error is far from a plane over the image that most of them are near to.
+        The matches, in a fixed order; few or none where the images show different scenes. Outliers from a plane fitted
+        to the row errors over the image are removed.
 
     Raises:
         ImageError: not two gray uint8 images of one size.
@@ -83,14 +83,14 @@ def match_rows(left: U8, right: U8) -> RowMatches:
     if min(len(left_xy), len(right_xy)) < 2:
         return RowMatches(np.empty((0, 2)), np.empty((0, 2)))
     distances = squared_distances(left_bits, right_bits)
-    distances[~_allowed(left_xy, right_xy, left.shape)] = np.inf
+    distances[~_candidates(left_xy, right_xy, left.shape)] = np.inf
     i, j = mutual_best(distances, RATIO)
     close = distances[i, j] <= MAX_BITS
-    return _without_wrong(_refined(left, right, left_xy[i[close]], right_xy[j[close]]))
+    return _without_outliers(_refined(left, right, left_xy[i[close]], right_xy[j[close]]))
 
 
-def _allowed(left_xy: F64, right_xy: F64, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    """bool (N, M), whether a left and a right corner are near enough to be one place."""
+def _candidates(left_xy: F64, right_xy: F64, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """bool (N, M), the pairs of corners within the largest row error and disparity."""
     (left_x, left_y), (right_x, right_y) = left_xy.astype(np.float32).T, right_xy.astype(np.float32).T
     near: npt.NDArray[np.bool_] = np.abs(left_x[:, None] - right_x) <= LARGEST_DISPARITY * shape[1]
     near &= np.abs(left_y[:, None] - right_y) <= max(8, LARGEST_ROW_ERROR * shape[0])
@@ -111,19 +111,20 @@ def _refined(left: U8, right: U8, left_xy: F64, right_xy: F64) -> RowMatches:
     return RowMatches(left_xy[refined], moved[refined])
 
 
-def _without_wrong(matches: RowMatches) -> RowMatches:
-    """Those whose row error is near to a plane over the image, which is fitted to them."""
+def _without_outliers(matches: RowMatches) -> RowMatches:
+    """The matches whose row error is near a plane over the image, fitted to them."""
     if len(matches) < MIN_FOR_PLANE:
         return matches
     errors, basis = matches.errors_px, np.column_stack((matches.left_px, np.ones(len(matches))))
-    rest = errors - np.median(errors)
+    residuals = errors - np.median(errors)
     for _ in range(PLANE_ROUNDS):
-        near = _near(rest)
-        rest = errors - basis @ np.linalg.lstsq(basis[near], errors[near], rcond=None)[0]
-    near = _near(rest)
-    return RowMatches(matches.left_px[near], matches.right_px[near])
+        inliers = _inliers(residuals)
+        residuals = errors - basis @ np.linalg.lstsq(basis[inliers], errors[inliers], rcond=None)[0]
+    inliers = _inliers(residuals)
+    return RowMatches(matches.left_px[inliers], matches.right_px[inliers])
 
 
-def _near(rest: F64) -> npt.NDArray[np.bool_]:
-    near: npt.NDArray[np.bool_] = np.abs(rest) <= max(FAR_PX, FAR_DEVIATIONS * 1.4826 * float(np.median(np.abs(rest))))
+def _inliers(residuals: F64) -> npt.NDArray[np.bool_]:
+    sigma_px = 1.4826 * float(np.median(np.abs(residuals)))
+    near: npt.NDArray[np.bool_] = np.abs(residuals) <= max(OUTLIER_PX, OUTLIER_SIGMAS * sigma_px)
     return near

@@ -19,11 +19,11 @@ __all__ = [
     "DepthError",
     "DepthRange",
     "Precision",
+    "default_nearest_m",
     "depth_errors",
     "depth_range",
     "recommended_search",
-    "usual_nearest",
-    "whole_depths",
+    "rounded_depths_m",
 ]
 
 _USUAL_SHARE = 1 / 8  # of the width of the image: disparity of the nearest point where nobody says more
@@ -176,12 +176,12 @@ def recommended_search(rig: StereoRig, nearest_m: float) -> MatchingConfig:
     return MatchingConfig(min_disparity=first, num_disparities=count)
 
 
-def usual_nearest(rig: StereoRig) -> float:
+def default_nearest_m(rig: StereoRig) -> float:
     """The distance, meters, at which the disparity is an eighth of the image's width above that of infinity."""
     return rig.f_px * rig.baseline_m / (_USUAL_SHARE * rig.width)
 
 
-def whole_depths(first_m: float, last_m: float) -> list[float]:
+def rounded_depths_m(first_m: float, last_m: float) -> list[float]:
     """Each whole meter from the first to the last; tenths where those are few, tens where they are many.
 
     The step is 1, 2 or 5 times a power of ten: 1 m where that makes 5 to 200 depths.
