@@ -22,7 +22,7 @@ RIG = StereoRig.from_calibration(K_LEFT, D, K_RIGHT, D, *POSE, (640, 430))
 
 
 def pair(seed: int, rig: StereoRig, w: F64, noise_px: float = 0.15) -> RowMatches:
-    """Row matches of a rectified pair: the right camera has rotated by w since RIG was calibrated, and ``rig`` rectifies."""
+    """Row matches of a pair rectified with ``rig`` whose right camera has rotated by w since RIG was calibrated."""
     random = np.random.default_rng(seed)
     depth_m = random.uniform(0.8, 12, 250)
     left = random.uniform((30, 20), (610, 410), (250, 2))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Matches of raw images, and where the points would be without distortion."""
+"""Matches of raw images, and their undistorted points."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def mapped(H: F64, points: F64) -> F64:
     return moved
 
 
-def test_matches_of_a_picture_and_its_warp() -> None:
-    """A turn, a zoom and a tilt: positions within a fraction of a pixel, without a bias in any direction."""
+def test_matches_of_an_image_and_its_warp() -> None:
+    """A rotation, a zoom and a tilt: positions within a fraction of a pixel, without a bias in any direction."""
     left = texture()
     H = np.array([[1.05, -0.06, 9.3], [0.08, 1.02, -7.6], [1e-4, -5e-5, 1.0]])
     right = cv2.warpPerspective(left, H, (300, 260), flags=cv2.INTER_CUBIC)
@@ -56,15 +56,15 @@ def test_matches_are_in_one_order_and_single() -> None:
     assert len(np.unique(both, axis=0)) == len(both)
 
 
-def test_pictures_without_anything_in_common() -> None:
+def test_images_with_nothing_in_common() -> None:
     assert len(match_features(np.full((60, 80), 90, np.uint8), texture())) == 0
 
 
-def test_pictures_that_are_not_grey() -> None:
+def test_images_that_are_not_gray() -> None:
     gray = texture()
-    with pytest.raises(ImageError, match=r"left image is float32 of shape \(240, 320\)"):
+    with pytest.raises(ImageError, match=r"left image: float32 of shape \(240, 320\)"):
         match_features(gray.astype(np.float32), gray)
-    with pytest.raises(ImageError, match=r"right image is uint8 of shape \(240, 320, 3\).*convert it to gray"):
+    with pytest.raises(ImageError, match=r"right image: uint8 of shape \(240, 320, 3\).*convert it to gray"):
         match_features(gray, cv2.merge([gray, gray, gray]))
 
 
@@ -73,7 +73,7 @@ def test_points_of_different_number() -> None:
         Correspondences(np.zeros((3, 2)), np.zeros((4, 2)))
 
 
-def test_points_that_no_pinhole_sees_are_left_out() -> None:
+def test_points_that_no_pinhole_sees_are_removed() -> None:
     """Of a fisheye, a point 95 degrees off the axis."""
     side = camera("equidistant", [0.0, 0.0, 0.0, 1e-9])
     beyond = np.array([side.K[0, 2] + side.K[0, 0] * np.radians(95), side.K[1, 2]])

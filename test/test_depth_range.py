@@ -77,14 +77,14 @@ def test_recommended_search_reaches_from_the_distance_to_infinity() -> None:
     assert recommended_search(rounded, 1.0).min_disparity == 0
 
 
-def test_usual_nearest_is_an_eighth_of_the_width() -> None:
+def test_default_nearest_is_an_eighth_of_the_width() -> None:
     assert 50 / default_nearest_m(RIG) == pytest.approx(640 / 8)
 
 
 @pytest.mark.parametrize(
     ("first_m", "last_m", "step_m"), [(0.3, 12, 1), (0.3, 4, 0.5), (0.3, 0.8, 0.1), (2, 900, 5), (0.5, 3000, 20)]
 )
-def test_whole_depths(first_m: float, last_m: float, step_m: float) -> None:
+def test_rounded_depths(first_m: float, last_m: float, step_m: float) -> None:
     depths = rounded_depths_m(first_m, last_m)
     np.testing.assert_allclose(np.diff(depths), step_m)
     assert first_m <= depths[0] < first_m + step_m
@@ -92,12 +92,12 @@ def test_whole_depths(first_m: float, last_m: float, step_m: float) -> None:
     assert len(depths) <= 201
 
 
-def test_values_that_cannot_be() -> None:
+def test_invalid_values() -> None:
     with pytest.raises(ConfigError, match="sigma_px = 0 is not above 0"):
         Precision(1 / 16, 0, 0.05)
-    with pytest.raises(ConfigError, match="error of 150 % of the depth is asked for, limit 100 %"):
+    with pytest.raises(ConfigError, match="depth error 150 % is above 100 %"):
         Precision(1 / 16, 0.25, 1.5)
-    with pytest.raises(ConfigError, match=r"search ends at 11 px, infinity is at 12\.00 px"):
+    with pytest.raises(ConfigError, match=r"search ends at 11 px, below the disparity of infinity, 12\.00 px"):
         depth_range(RIG, MatchingConfig(min_disparity=-20, num_disparities=32), PRECISION)
     with pytest.raises(ConfigError, match=r"at 0\.05 m the disparity is 1012 px and the images are 640 px wide"):
         recommended_search(RIG, 0.05)

@@ -94,22 +94,22 @@ def _median_error(count: int, method: str) -> float:
 @pytest.mark.parametrize("method", METHODS)
 def test_a_plane_is_refused(method: str) -> None:
     plane, _ = with_wrong(plane_views(200, noise_px=0.4), 0.2)
-    with pytest.raises(CalibrationError, match="those of one plane"):
+    with pytest.raises(CalibrationError, match="matches are coplanar"):
         estimate_fundamental(plane.left_px, plane.right_px, 1.5, method)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_random_matches_are_refused(method: str) -> None:
     seen, _ = with_wrong(views(100), 1.0)
-    with pytest.raises(CalibrationError, match=r"no more than wrong ones do by chance|one plane"):
+    with pytest.raises(CalibrationError, match=r"no more than random matches|coplanar"):
         estimate_fundamental(seen.left_px, seen.right_px, 1.0, method)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_camera_that_only_turned(method: str) -> None:
+def test_a_camera_that_only_rotated(method: str) -> None:
     pose = RelativePose(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([1e-9, 0, 0]))
     turned = views(100, noise_px=0.2, pose=pose)
-    with pytest.raises(CalibrationError, match="camera that only turned"):
+    with pytest.raises(CalibrationError, match="camera that only rotated"):
         estimate_fundamental(turned.left_px, turned.right_px, 1.0, method)
 
 

@@ -105,9 +105,11 @@ def test_a_projective_one_has_no_points() -> None:
         _ = found.points
 
 
-def test_a_baseline_completes_nothing_else() -> None:
+def test_a_baseline_applies_to_nothing_else() -> None:
     found = reconstruct(*distorted(views(40)), RIG)
-    with pytest.raises(CalibrationError, match="euclidean reconstruction: a baseline completes an up_to_scale one"):
+    with pytest.raises(
+        CalibrationError, match="euclidean reconstruction: a baseline applies to an up_to_scale reconstruction only"
+    ):
         found.with_baseline(0.1)
     scaled = reconstruct(*distorted(views(60)), (LEFT, RIGHT))
     with pytest.raises(CalibrationError, match=r"baseline -1 m is not above 0: measure it"):

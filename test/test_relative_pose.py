@@ -65,11 +65,11 @@ def test_the_other_direction_is_180_degrees_away() -> None:
     assert POSE.direction_angle_to(RelativePose(POSE.R, -POSE.t)) == pytest.approx(np.pi)
 
 
-def test_no_pose() -> None:
+def test_invalid_poses() -> None:
     with pytest.raises(CalibrationError, match=r"shape \(2, 2\) and t \(3,\).*\(3, 3\)"):
         RelativePose(np.identity(2), POSE.t)
     with pytest.raises(CalibrationError, match="R from the left to the right camera"):
         RelativePose(1.1 * POSE.R, POSE.t)
     for nothing in ([0.0, 0.0, 0.0], [0.1, np.nan, 0.0]):
-        with pytest.raises(CalibrationError, match="is no baseline"):
+        with pytest.raises(CalibrationError, match="is not a baseline"):
             RelativePose(POSE.R, np.array(nothing))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points of two images that show the same place, found without knowing anything of the cameras."""
+"""Correspondences of two images: matched points, and SIFT matching of raw images from unknown cameras."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stereo_depth_ros.matching.features.corners import detect_sift, mutual_best,
 
 __all__ = ["Correspondences", "match_features"]
 
-_CONTRAST = 0.02  # half of OpenCV's: dim rooms have few corners above that
+_CONTRAST = 0.02  # half of OpenCV's default, for dim scenes
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,35 +38,36 @@ class Correspondences:
     def __post_init__(self) -> None:
         if self.left_px.shape != self.right_px.shape or self.left_px.shape[1:] != (2,):
             raise ImageError(
-                f"left and right points have shapes {self.left_px.shape} and {self.right_px.shape}, "
-                "both are (N, 2): give each left point its right point"
+                f"left and right points have shapes {self.left_px.shape} and {self.right_px.shape}, not both (N, 2)",
+                value=(self.left_px.shape, self.right_px.shape),
+                remedy="pass the right point of each left point",
             )
 
     def __len__(self) -> int:
         return len(self.left_px)
 
     def take(self, chosen: npt.NDArray[Any]) -> Correspondences:
-        """Those of these indices, or of this mask."""
+        """The correspondences of these indices, or of this mask."""
         return Correspondences(self.left_px[chosen], self.right_px[chosen])
 
     def undistorted(self, left: CameraModel, right: CameraModel) -> Correspondences:
-        """Where cameras with the same K and no distortion would see the points; without those that they cannot see."""
+        """Points in cameras with the same K and no distortion; points outside their field of view are removed."""
         moved = Correspondences(undistort_points(self.left_px, left), undistort_points(self.right_px, right))
         return moved.take(np.flatnonzero(np.isfinite(moved.left_px + moved.right_px).all(axis=1)))
 
 
 def match_features(left: U8, right: U8, max_features: int = 4000, ratio: float = 0.75) -> Correspondences:
-    """SIFT features (Lowe 2004) of two images, matched where each is the other's best by far.
+    """Match SIFT features (Lowe 2004) of two images by mutual best distance and the ratio test.
 
-    No row is assumed, no disparity, no size in common: it works on raw images. Wrong matches remain (some percent).
+    Works on raw images of any size: no rectification is assumed. Some percent of the matches are wrong.
 
     Args:
         left, right: uint8 (H, W), gray.
-        max_features: of each image, the strongest.
-        ratio: the best candidate's distance is at most this share of the second best one's.
+        max_features: number of strongest features of each image.
+        ratio: largest ratio of the distances of the best and the second best candidate.
 
     Returns:
-        The matches in a fixed order, the same for the same images; none where the images show nothing in common.
+        The matches in a fixed order, the same for the same images; none where the images have nothing in common.
 
     Raises:
         ImageError: not gray uint8 images.
@@ -78,7 +79,7 @@ def match_features(left: U8, right: U8, max_features: int = 4000, ratio: float =
     if min(len(left_px), len(right_px)) < 2:
         return Correspondences(np.empty((0, 2)), np.empty((0, 2)))
     i, j = mutual_best(squared_distances(left_descriptors, right_descriptors), ratio**2)
-    # SIFT tells a corner once for each of its orientations
+    # SIFT gives a corner once for each of its orientations
     single = np.unique(np.hstack((left_px[i], right_px[j])), axis=0)
     return Correspondences(single[:, :2], single[:, 2:])
 
@@ -86,5 +87,8 @@ def match_features(left: U8, right: U8, max_features: int = 4000, ratio: float =
 def _check_gray(image: U8, side: str) -> None:
     if image.dtype != np.uint8 or image.ndim != 2 or not image.size:
         raise ImageError(
-            f"{side} image is {image.dtype} of shape {image.shape}, features take uint8 (H, W): convert it to gray"
+            f"{image.dtype} of shape {image.shape}, not uint8 (H, W)",
+            subject=f"{side} image",
+            value=(image.dtype, image.shape),
+            remedy="convert it to gray",
         )

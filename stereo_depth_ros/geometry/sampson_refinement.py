@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fundamental and essential matrices moved to where the Sampson distances of matches are least.
+"""Refinement of fundamental and essential matrices to least Sampson distances of matches.
 
-Distances d are summed as squares, or, with a scale c, as d^2 / (1 + (d / c)^2) (Geman and McClure 1985): a match
-several scales away then pulls no more.
+The cost of distances d is the sum of squares, or, with a scale c, of d^2 / (1 + (d / c)^2) (Geman and McClure 1985),
+which limits the influence of outliers.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _GENERATORS = np.stack([cross_matrix(axis) for axis in np.identity(3)])
 
 
 def robust_scale(distances: F64) -> float:
-    """A scale c for distances, float64 (N,), of right matches and some wrong ones: 2.5 standard deviations.
+    """A scale c for distances, float64 (N,), with outliers: 2.5 standard deviations, estimated from the median.
 
-    The deviation is taken from the median; above 0 for matches without noise too.
+    Above 0 for matches without noise too.
     """
     return max(2.5 * 1.4826 * float(np.median(distances)), 1e-6)
 
 
 def robust_cost(distances: F64, scale: float) -> float:
-    """The sum that the refinements lower, of distances float64 (N,)."""
+    """The cost that the refinements minimize, of distances float64 (N,)."""
     squared = distances**2
     return float(np.sum(squared / (1 + squared / scale**2)))
 
@@ -42,13 +42,13 @@ def robust_cost(distances: F64, scale: float) -> float:
 def refine_fundamental(F: F64, left_px: F64, right_px: F64, scale_px: float = np.inf) -> F64:
     """The fundamental matrix of least Sampson distance near F, of rank 2 at every step.
 
-    F = U diag(cos a, sin a, 0) V^T with two rotations and an angle has the seven parameters that it needs (Bartoli and
-    Sturm 2004); they are found by the method of Levenberg and Marquardt.
+    F = U diag(cos a, sin a, 0) V^T has the minimal seven parameters in two rotations and an angle (Bartoli and Sturm
+    2004), which are optimized by Levenberg-Marquardt.
 
     Args:
-        F: float64 (3, 3), the start.
+        F: float64 (3, 3), the initial value.
         left_px, right_px: float64 (N, 2), N >= 7.
-        scale_px: see above; infinite for squares.
+        scale_px: scale c of the cost; infinite for squares.
 
     Returns:
         float64 (3, 3), Frobenius norm 1.
@@ -67,10 +67,10 @@ def refine_essential(E: F64, left_px: F64, right_px: F64, K_left: F64, K_right: 
     """The essential matrix of least Sampson distance in pixels near E; as above with five parameters, a = 45 degrees.
 
     Args:
-        E: float64 (3, 3), the start.
+        E: float64 (3, 3), the initial value.
         left_px, right_px: float64 (N, 2), N >= 5, without distortion.
         K_left, K_right: float64 (3, 3), px.
-        scale_px: see above; infinite for squares.
+        scale_px: scale c of the cost; infinite for squares.
 
     Returns:
         float64 (3, 3), singular values 1, 1 and 0.
@@ -87,7 +87,7 @@ def refine_essential(E: F64, left_px: F64, right_px: F64, K_left: F64, K_right: 
 
 
 def common_scale(left_px: F64, right_px: F64) -> tuple[F64, F64]:
-    """float64 (3, 3) each: move both means to 0 and scale both images alike, so that distances in them compare."""
+    """float64 (3, 3) each: move both means to 0 and scale both images equally, so that distances are comparable."""
     means = left_px.mean(axis=0), right_px.mean(axis=0)
     squares = ((left_px - means[0]) ** 2).sum(axis=1) + ((right_px - means[1]) ** 2).sum(axis=1)
     scale = 2 / np.sqrt(squares.mean())
@@ -97,7 +97,7 @@ def common_scale(left_px: F64, right_px: F64) -> tuple[F64, F64]:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Matches, float64 (N, 3) each, whose Sampson distances from matrices ``before @ M @ after`` are to be small."""
+    """Matches, float64 (N, 3) each, and the factors of matrices ``before @ M @ after`` that are fitted to them."""
 
     x_left: F64
     x_right: F64
@@ -126,7 +126,7 @@ class _Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Factors:
-    """M = U diag(cos a, sin a, 0) V^T, an iterate; a stays as it is unless ``free_angle``."""
+    """An iterate M = U diag(cos a, sin a, 0) V^T; a is constant unless ``free_angle``."""
 
     problem: _Problem
     U: F64
@@ -146,7 +146,7 @@ class _Factors:
         return robust_cost(self._distances, self.problem.scale)
 
     def trial(self, damping: float) -> _Factors:
-        """Both rotations turned, and the angle changed, by a damped step."""
+        """Both rotations and the angle after a damped step."""
         step = damped_step(*self._normal_equations, damping)
         step = step if self.free_angle else np.append(step, (0.0, 0.0))
         U, Vt = self.U @ cv2.Rodrigues(step[:3])[0], cv2.Rodrigues(step[3:6])[0].T @ self.Vt
@@ -170,9 +170,9 @@ class _Factors:
         """Derivatives of the matrix by the rotations of U and V and the angle, float64 (7, 3, 3), or (5, 3, 3)."""
         cosine, sine = np.cos(self.angle), np.sin(self.angle)
         S = np.diag([cosine, sine, 0])
-        turns = np.concatenate([self.U @ _GENERATORS @ S @ self.Vt, -self.U @ S @ _GENERATORS @ self.Vt])
+        rotations = np.concatenate([self.U @ _GENERATORS @ S @ self.Vt, -self.U @ S @ _GENERATORS @ self.Vt])
         by_angle = self.U @ np.diag([-sine, cosine, 0]) @ self.Vt
         # With equal singular values U and V rotated alike about the third axis change nothing
-        changes = np.concatenate([turns, by_angle[None]]) if self.free_angle else np.delete(turns, 5, axis=0)
+        changes = np.concatenate([rotations, by_angle[None]]) if self.free_angle else np.delete(rotations, 5, axis=0)
         derivatives: F64 = self.problem.before @ changes @ self.problem.after
         return derivatives
