@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How boards lie in images, what views cover, which are new, and what is said where there are none."""
+"""Placement of boards in images, coverage by views, new views, and errors where no view is found."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def test_placement() -> None:
     assert place.skew == pytest.approx(0, abs=1e-6)
 
 
-def test_skew_is_the_angle_from_a_right_one() -> None:
+def test_skew_is_the_difference_from_a_right_angle() -> None:
     place = placement(lying(100, 120, 50, shear=np.tan(np.radians(12))), SIZE)
     assert place.skew == pytest.approx(2 * np.radians(12), rel=1e-6)
 
 
-def test_coverage_says_what_is_missing() -> None:
+def test_coverage_states_what_is_missing() -> None:
     assert Coverage.of([]).missing == ("show the board to both cameras",)
     middle = Coverage.of([Placement(0.5, 0.5, 0.2, 0.1)])
     assert not middle.complete
@@ -59,7 +59,7 @@ def test_coverage_is_complete() -> None:
     assert Coverage.of([*corners, Placement(0.5, 0.5, 0.5, 0.6)]).complete
 
 
-def test_only_the_end_that_is_missing_is_named() -> None:
+def test_only_the_missing_end_is_named() -> None:
     places = [Placement(0.0, y, 0.5, 0.6) for y in (0.0, 1.0)]
     assert Coverage.of(places).missing == ("move the board to the right edge",)
 
@@ -79,7 +79,7 @@ def test_views_have_to_be_new() -> None:
 
 @dataclass
 class Shown:
-    """Pairs of images whose first pixel says what is seen in them: the x of a board, or nothing where it is 0."""
+    """Pairs of images whose first pixel encodes their content: the x of a board, or no board where it is 0."""
 
     pairs: list[tuple[int, int]]
     dense: bool = False
@@ -97,7 +97,7 @@ class Shown:
 
 @dataclass
 class Shown5x4:
-    """Finds in such images what they say, if it is the board that they show."""
+    """Detects the board that such images encode, if its size is 5x4."""
 
     size: tuple[int, int] = (5, 4)
     counted: str = "inner corners"

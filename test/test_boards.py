@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boards are found in images of known cameras, where they are and in the right order."""
+"""Boards are detected in images of known cameras, at the right positions and in the right order."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ needs_detectors = pytest.mark.skipif(
 
 @dataclass(frozen=True)
 class Sample:
-    """A board, its print, the side of what the print is measured in, and all of its corners."""
+    """A board, its print, the size of a cell of the print, and all of its corners."""
 
     board: Board
     print_: tuple[U8, F64]
@@ -65,7 +65,7 @@ def aprilgrid(border_bits: int = 2, turns: int = 0) -> Sample:
 
 
 def found_and_exact(sample: Sample, rig: KnownRig, pose: F64) -> tuple[Corners, F64, Corners, F64]:
-    """Of both cameras what is found, and where these corners are; fails where the board is not found."""
+    """Detected and exact corners of both cameras; fails where the board is not found."""
     left, right = (
         sample.board.detect(each) for each in photograph(sample.print_, sample.cell_px, sample.cell_m, rig, pose)
     )
@@ -83,7 +83,7 @@ def test_chessboard(rig: KnownRig) -> None:
     sample = chessboard()
     for pose in poses(3, sample.board_m, rig, seed=4):
         left, exact_left, right, exact_right = found_and_exact(sample, rig, pose)
-        # A board may be counted from its other end, in both cameras alike
+        # The board may be counted from its other end, in both cameras
         turned = np.abs(left.image_px - exact_left).max() > 5
         for corners, exact in ((left, exact_left), (right, exact_right)):
             order = slice(None, None, -1 if turned else 1)
@@ -103,7 +103,7 @@ def test_charuco() -> None:
 
 
 @needs_detectors
-def test_charuco_of_which_a_part_is_covered() -> None:
+def test_partly_covered_charuco() -> None:
     sample = charuco()
     pose = poses(1, sample.board_m, PINHOLE, seed=2)[0]
     image, _ = photograph(sample.print_, sample.cell_px, sample.cell_m, PINHOLE, pose)
@@ -120,7 +120,7 @@ def test_charuco_of_which_a_part_is_covered() -> None:
 def test_aprilgrid(border_bits: int, turns: int) -> None:
     """With Kalibr's wide border and the narrow one of others, whichever corner of a tag is its first."""
     sample = aprilgrid(border_bits, turns)
-    pose = np.array([2.9, 0.1, 0.2, -0.1, 0.12, 0.5])  # the board's y goes up
+    pose = np.array([2.9, 0.1, 0.2, -0.1, 0.12, 0.5])  # the y axis of the board points up
     left, exact_left, right, exact_right = found_and_exact(sample, PINHOLE, pose)
     for corners, exact in ((left, exact_left), (right, exact_right)):
         assert len(corners.ids) == 48
@@ -141,7 +141,7 @@ def test_edges_are_as_wide_as_they_are_blurred() -> None:
     image[:, 150:] = 200
     corners = Corners(np.arange(6), np.zeros((6, 3)), np.column_stack((np.full(6, 149.5), np.arange(6) * 30.0 + 20)))
     widths = [edge_width_px(np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8), corners) for sigma in (2, 3)]
-    # The image is smoothed by 0.7 px, and its slope taken over three pixels, first
+    # The image is smoothed by 0.7 px, and its slope is computed over three pixels
     assert widths[0] == pytest.approx(np.sqrt(2 * np.pi * (4 + 1.2)), rel=0.1)
     assert widths[1] / widths[0] == pytest.approx(1.45, rel=0.1)
 

@@ -21,7 +21,7 @@ def camera(model: str, D: list[float]) -> CameraModel:
 
 
 def texture() -> U8:
-    """Blobs of several sizes that are not alike."""
+    """Different blobs of several sizes."""
     random = np.random.default_rng(5)
     octaves = [cv2.resize(random.random((240 // k, 320 // k)), (320, 240), interpolation=2) for k in (4, 8, 16)]
     image: U8 = cv2.normalize(sum(octaves), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
@@ -46,7 +46,7 @@ def test_matches_of_an_image_and_its_warp() -> None:
     assert np.mean(np.linalg.norm(error, axis=1) < 2) > 0.97
 
 
-def test_matches_are_in_one_order_and_single() -> None:
+def test_matches_are_deterministic_and_unique() -> None:
     left = texture()
     right = np.roll(left, (3, -8), axis=(0, 1))
     first, second = match_features(left, right), match_features(left, right)
@@ -68,7 +68,7 @@ def test_images_that_are_not_gray() -> None:
         match_features(gray, cv2.merge([gray, gray, gray]))
 
 
-def test_points_of_different_number() -> None:
+def test_different_numbers_of_points() -> None:
     with pytest.raises(ImageError, match=r"\(3, 2\) and \(4, 2\)"):
         Correspondences(np.zeros((3, 2)), np.zeros((4, 2)))
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig can see: against Z = f B / (d - doffs), and against triangulation of noisy disparities."""
+"""Depth range of a rig: against Z = f B / (d - doffs), and against triangulation of noisy disparities."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_range() -> None:
     assert wide.search_end_m == math.inf
 
 
-def test_at_the_farthest_depth_the_error_is_what_is_allowed() -> None:
+def test_the_error_at_the_farthest_depth_is_the_acceptable_one() -> None:
     farthest_m = depth_range(RIG, MatchingConfig(), PRECISION).farthest_m
     (error,) = depth_errors(RIG, [farthest_m], PRECISION)
     assert error.sigma_m == pytest.approx(0.05 * farthest_m, rel=1e-5)
@@ -72,7 +72,7 @@ def test_recommended_search_reaches_from_the_distance_to_infinity() -> None:
         assert search.min_disparity == 12
         assert search.max_disparity >= 50 / nearest_m + 12
         assert search.num_disparities == 32 or search.max_disparity - 16 < 50 / nearest_m + 13
-    # Whole disparities of rounding are those
+    # Disparities that are whole up to rounding count as whole
     rounded = StereoRig.from_rectified(400.0, 420.0, 330.0, 330.0 - 1e-9, 205.0, 0.125, (640, 430))
     assert recommended_search(rounded, 1.0).min_disparity == 0
 

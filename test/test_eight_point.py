@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The eight-point algorithm: exact matches, noise, OpenCV, and what it must refuse."""
+"""The eight-point algorithm: exact matches, noise, OpenCV, and degenerate points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CLEAN = views(300, seed=99)
 
 
 def error_px(F: F64) -> float:
-    """How far exact matches are from what F allows."""
+    """Distance of exact matches from F."""
     return float(sampson_distance(F, CLEAN.left_px, CLEAN.right_px).mean())
 
 

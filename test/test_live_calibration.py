@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration while a board is moved: which views are taken, what is said, the result; with rendered boards."""
+"""Live calibration with rendered boards: which views are added, the messages, the result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EMPTY = np.full(SIZE[::-1], 80, np.uint8)
 
 @pytest.fixture(scope="module")
 def photographs() -> list[tuple[U8, U8]]:
-    """Views that differ."""
+    """Different views."""
     return list(chessboard_photographs())
 
 
@@ -32,7 +32,7 @@ def live(max_motion_px: float = 0.0) -> LiveCalibration:
     return LiveCalibration(BOARD, "equidistant", max_motion_px)
 
 
-def test_views_are_taken_and_solved(photographs: list[tuple[U8, U8]]) -> None:
+def test_views_are_added_and_calibrated(photographs: list[tuple[U8, U8]]) -> None:
     collected = live()
     looks = [collected.add(str(number), *pair) for number, pair in enumerate(photographs)]
     assert looks.count(ViewStatus.ADDED) == len(collected.views) >= 6
@@ -43,7 +43,7 @@ def test_views_are_taken_and_solved(photographs: list[tuple[U8, U8]]) -> None:
     assert result.rms_stereo_px < 0.2
 
 
-def test_what_is_not_taken_is_said(photographs: list[tuple[U8, U8]]) -> None:
+def test_rejected_pairs_have_a_reason(photographs: list[tuple[U8, U8]]) -> None:
     collected, (left, right) = live(), photographs[0]
     assert collected.add("a", EMPTY, EMPTY) is ViewStatus.NOT_FOUND
     assert collected.add("b", left, EMPTY) is ViewStatus.LEFT_ONLY
@@ -64,7 +64,7 @@ def test_a_board_has_to_be_held_still(photographs: list[tuple[U8, U8]]) -> None:
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_blurred_pictures_are_not_taken(photographs: list[tuple[U8, U8]], side: int) -> None:
+def test_blurred_images_are_not_added(photographs: list[tuple[U8, U8]], side: int) -> None:
     pair = list(photographs[1])
     pair[side] = np.asarray(cv2.GaussianBlur(pair[side], (0, 0), 3.0), np.uint8)
     collected = live()
@@ -73,7 +73,7 @@ def test_blurred_pictures_are_not_taken(photographs: list[tuple[U8, U8]], side: 
     assert collected.add("b", *photographs[1]) is ViewStatus.ADDED
 
 
-def test_advice_names_what_is_missing(photographs: list[tuple[U8, U8]]) -> None:
+def test_advice_states_what_is_missing(photographs: list[tuple[U8, U8]]) -> None:
     collected = live()
     assert collected.advice[0] == "show the board to both cameras"
     assert collected.advice[-1] == f"show {GOOD_VIEWS} more views of {GOOD_VIEWS}"
@@ -82,7 +82,7 @@ def test_advice_names_what_is_missing(photographs: list[tuple[U8, U8]]) -> None:
     assert collected.advice[-1] == f"show {GOOD_VIEWS - 1} more views of {GOOD_VIEWS}"
 
 
-def test_too_few_views_are_not_solved(photographs: list[tuple[U8, U8]]) -> None:
+def test_too_few_views_are_not_calibrated(photographs: list[tuple[U8, U8]]) -> None:
     collected = live()
     collected.add("a", *photographs[0])
     with pytest.raises(CalibrationError, match=r"1 views so far, at least 5 are needed: .*show 19 more views"):
@@ -97,7 +97,7 @@ def test_images_of_another_size(photographs: list[tuple[U8, U8]]) -> None:
         collected.add("b", left, right[:-1])
 
 
-def test_picture_shows_views_and_advice(photographs: list[tuple[U8, U8]]) -> None:
+def test_overlay_shows_views_and_advice(photographs: list[tuple[U8, U8]]) -> None:
     collected, (left, right) = live(), photographs[0]
     blank = operator_overlay(left, [], None, collected.coverage, "", collected.advice)
     collected.add("a", left, right)
@@ -117,7 +117,7 @@ def test_picture_shows_views_and_advice(photographs: list[tuple[U8, U8]]) -> Non
 
 @pytest.mark.real_data
 def test_the_chessboards_of_opencv(stereo_data: Path) -> None:
-    """Shown one after the other: of 13 views those that differ are taken, and give the calibration of all."""
+    """In sequence: of 13 views those that differ are added, and give the calibration of all."""
     collected = LiveCalibration(create_board("chessboard", (9, 6), 0.025), "plumb_bob", 0.0)
     for pair in open_stereo_images(stereo_data / "opencv_samples" / "chessboard_stereo"):
         collected.add(pair.name, pair.left, pair.right)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Projection through lenses: derivatives, and where a lens folds."""
+"""Projection by lens models: Jacobians, and the distortion range."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def test_names() -> None:
         check_model("fisheye")
 
 
-def test_where_a_lens_folds() -> None:
-    """r (1 + k r^2) has its turn at r = 1 / sqrt(-3 k), where the radius is 2/3 of that."""
+def test_distortion_range() -> None:
+    """r (1 + k r^2) has its maximum at r = 1 / sqrt(-3 k), where the radius is 2/3 of that."""
     intrinsics = np.array([300.0, 300, 199.5, 149.5, -0.8, 0, 0, 0, 0])
     turn_px, corner_px = distortion_range_px("plumb_bob", intrinsics, SIZE)
     assert turn_px == pytest.approx(300 * 2 / 3 / np.sqrt(2.4), rel=1e-3)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration of both cameras and the rig: from the corners that known cameras see, and from real boards."""
+"""Calibration of both cameras and the rig: from exact corners of known cameras, and from real boards."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MODELS = list(RIGS)
 def test_exact_corners_give_the_cameras(model: str) -> None:
     rig = RIGS[model]
     found = calibrate(exact_views(rig, 14, noise_px=0), model)
-    # Several sets of the rational coefficients are one lens
+    # Several sets of rational coefficients describe the same lens
     count = 4 if model == "rational_polynomial" else rig.left.size
     for camera, true in ((found.left, rig.left), (found.right, rig.right)):
         values = np.array([camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *camera.D])
@@ -110,7 +110,7 @@ def test_a_view_with_wrong_corners_is_dropped_and_named() -> None:
 
 
 def test_a_view_whose_cameras_were_not_exposed_together_is_dropped_and_named() -> None:
-    """Each camera by itself fits: the board moved between the two images."""
+    """Each camera fits alone: the board moved between the two images."""
     views, later = exact_views(FISHEYE, 12, 0.1), exact_views(FISHEYE, 12, 0.1, seed=9)
     views[3] = replace(views[3], right=later[3].right)
     found = calibrate(views, "equidistant")
@@ -123,7 +123,7 @@ def test_good_views_are_all_kept() -> None:
         assert not calibrate(exact_views(FISHEYE, 12, 0.3, seed + 20), "equidistant").dropped
 
 
-def test_what_is_too_little() -> None:
+def test_insufficient_views() -> None:
     views = exact_views(FISHEYE, 6, 0.1)
     with pytest.raises(CalibrationError, match=r"4 views of the board, at least 5 are needed and 20 are good"):
         calibrate(views[:4], "equidistant")
@@ -133,15 +133,15 @@ def test_what_is_too_little() -> None:
         calibrate([*views[:2], replace(views[2], size=(320, 240)), *views[3:]], "equidistant")
 
 
-def test_views_that_are_one_view() -> None:
-    """The same pose over and over determines nothing."""
+def test_repeated_views() -> None:
+    """Repetitions of one pose do not determine the cameras."""
     view = exact_views(RIGS["plumb_bob"], 1, 0.0)[0]
     views = [replace(view, name=f"v{k}") for k in range(8)]
     with pytest.raises(CalibrationError, match=r"1 of 8 views differ, at least 3 are needed: tilt the board"):
         calibrate(views)
 
 
-def test_a_fisheye_whose_views_stay_in_the_middle_is_rectified_all_the_same() -> None:
+def test_a_fisheye_with_views_in_the_center_only_is_rectified() -> None:
     """With k4 free the distortion of these lenses decreases within the image, which cannot be rectified."""
     for seed in (0, 1, 5):
         found = calibrate(exact_views(FISHEYE, 6, 0.2, seed + 100), "equidistant")
@@ -165,7 +165,7 @@ def part(corners: Corners, keep: npt.NDArray[np.bool_]) -> Corners:
 
 
 def test_views_of_different_parts_of_a_board() -> None:
-    """As boards with markers have them."""
+    """As from boards with markers."""
     views = exact_views(RIGS["plumb_bob"], 10, 0.1)
     halves = [
         replace(view, left=part(view.left, view.left.ids % 7 < 4), right=part(view.right, view.right.ids % 7 >= 4))
@@ -213,10 +213,10 @@ def test_files_are_read_back_as_they_are(tmp_path: Path) -> None:
         for field in ("K", "D", "R", "P"):
             np.testing.assert_array_equal(getattr(read, field), getattr(camera, field))
         assert (read.width, read.height, read.distortion_model) == (*SIZE, "equidistant")
-    assert found.rig.f_px > 100  # of an image that shows something
+    assert found.rig.f_px > 100  # of a usable image
     rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
     assert rig.baseline_m == pytest.approx(found.baseline_m, rel=1e-9)
-    # A fisheye's P has the baseline, and a rotation beside it
+    # P of a fisheye contains the baseline
     assert rig.right.P[0, 3] == pytest.approx(-rig.f_px * found.baseline_m, rel=1e-9)
     report = (tmp_path / "out" / "calibration.txt").read_text()
     assert "baseline" in report and "+-" in report
@@ -229,7 +229,7 @@ def test_files_that_cannot_be_written(tmp_path: Path) -> None:
         save_calibration(found, tmp_path / "file")
 
 
-def test_coverage_picture_shows_corners_and_bars() -> None:
+def test_coverage_plot_shows_corners_and_bars() -> None:
     found = calibrate(exact_views(FISHEYE, 8, 0.2), "equidistant")
     image = coverage_plot(found)
     assert image.dtype == np.uint8
@@ -260,7 +260,7 @@ def test_the_chessboards_of_opencv(chessboard: StereoCalibration) -> None:
 
 
 @pytest.mark.real_data
-def test_the_chessboards_of_opencv_as_opencv_solves_them(stereo_data: Path, chessboard: StereoCalibration) -> None:
+def test_the_chessboards_of_opencv_against_opencv(stereo_data: Path, chessboard: StereoCalibration) -> None:
     """The same corners by cv2.stereoCalibrate: the same minimum."""
     views = board_views(stereo_data / "opencv_samples" / "chessboard_stereo").views
     board = [view.left.board_m.astype(np.float32) for view in views]
