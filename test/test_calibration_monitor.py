@@ -226,7 +226,7 @@ def test_corrections_have_a_limit(pitched: TurnedCamera) -> None:
         send(graph, pitched, 7)
         graph.wait(lambda: len(infos) == 7, "camera infos")
         np.testing.assert_array_equal(infos[-1].r, pitched.rig.right.R.ravel())
-        assert "not corrected: the right camera has turned by 0.5" in graph.status().message
+        assert "not corrected: the right camera has rotated by 0.5" in graph.status().message
 
 
 def test_pictures_without_features(straight: TurnedCamera) -> None:

@@ -86,7 +86,7 @@ def test_from_pictures_to_files_and_drivers(photographs: list[tuple[U8, U8]], tm
         assert (images[-1].encoding, images[-1].width) == ("bgr8", SIZE[0])
         success, text = trigger(graph, "calibrate")
         assert success, text
-        assert "baseline 11" in text and "to do better" in text
+        assert "baseline 11" in text and "to improve" in text
         success, text = trigger(graph, "save")
         assert success and str(tmp_path / "out") in text
         rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
@@ -212,7 +212,7 @@ def test_what_is_wrong_with_pictures_is_told(photographs: list[tuple[U8, U8]]) -
         left, right = photographs[0]
         show(graph, [(left, right)])
         graph.send(messages((left, right[:-4]), 9))
-        graph.wait_error(r"the right image is 400x296, those before were 400x300")
+        graph.wait_error(r"right image: 400x296, previous images 400x300")
         show_nothing = np.full_like(left, 70)
         graph.send(messages((show_nothing, show_nothing), 10))
         graph.wait(lambda: facts(graph)["newest pair"].startswith("no board is seen"), "word of an empty image")

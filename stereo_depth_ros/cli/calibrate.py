@@ -110,7 +110,7 @@ def _warnings(found: FoundViews) -> Iterator[str]:
     for names, text in (
         (found.left_only, "the board is seen by the left camera only"),
         (found.right_only, "the board is seen by the right camera only"),
-        (found.nowhere, "no board"),
+        (found.not_found, "no board"),
     ):
         if names:
             listed = ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
@@ -125,7 +125,7 @@ def _explained(found: FoundViews) -> str:
 
 
 def _values(result: StereoCalibration, found: FoundViews, output: Path) -> dict[str, Any]:
-    counts = {"left_only": len(found.left_only), "right_only": len(found.right_only), "without": len(found.nowhere)}
+    counts = {"left_only": len(found.left_only), "right_only": len(found.right_only), "without": len(found.not_found)}
     return {**result.to_json(), "pairs": {"total": found.pairs, **counts}, "output": str(output)}
 
 

@@ -22,11 +22,11 @@ from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.geometry.depth_range import (
     Precision,
+    default_nearest_m,
     depth_errors,
     depth_range,
     recommended_search,
-    usual_nearest,
-    whole_depths,
+    rounded_depths_m,
 )
 from stereo_depth_ros.geometry.field_of_view import field_of_view
 from stereo_depth_ros.matching import matcher_from_config
@@ -85,7 +85,7 @@ def rig(
     config = pipeline_config(values)
     step_px = matcher_from_config(config.matching).step_px
     precision = Precision(step_px, config.depth.disparity_sigma_px, max_error / 100)
-    nearest_m = usual_nearest(rig) if nearest is None else nearest
+    nearest_m = default_nearest_m(rig) if nearest is None else nearest
     recommended = recommended_search(rig, nearest_m)
     given = bool({"min_disparity", "disparity_range"} & values.keys())
     survey = _Survey(rig, config.matching if given else recommended, precision)
@@ -115,7 +115,7 @@ class _Survey:
         limits = [self._limits(factor) for factor in _BASELINES]
         own = limits[_BASELINES.index(1.0)]
         last_m = min(own["farthest_m"], own["search_end_m"] or math.inf)
-        depths_m = whole_depths(own["nearest_m"], max(last_m, own["nearest_m"]))
+        depths_m = rounded_depths_m(own["nearest_m"], max(last_m, own["nearest_m"]))
         rig = self.rig
         return {
             "cameras": list(rig.topics),

@@ -154,7 +154,7 @@ class _Watch:
 
     def look(self, matches: RowMatches) -> tuple[Misalignment | None, bool]:
         """What is known after this pair, and whether a correction was made of it."""
-        return self._auto.look(matches) if self._auto else (self._estimator.add(matches), False)
+        return self._auto.add(matches) if self._auto else (self._estimator.add(matches), False)
 
     @property
     def refusal(self) -> str:

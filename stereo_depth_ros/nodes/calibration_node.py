@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from stereo_depth_ros.calibration.board_options import create_board, parse_board_size
 from stereo_depth_ros.calibration.calibration_files import calibration_files, save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
-from stereo_depth_ros.calibration.live_calibration import LiveCalibration, Look
+from stereo_depth_ros.calibration.live_calibration import LiveCalibration, ViewStatus
 from stereo_depth_ros.config import CalibrationConfig
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError, OutputError, StereoDepthError
@@ -111,15 +111,15 @@ class CalibrationNode(StereoNode):
         grays = [to_gray(frame) for frame in frames]
         with self._lock, self.diagnostics.timed("look for the board"):
             self._live.max_motion_px = self.parameters.get(CalibrationConfig).max_board_motion
-            look = self._live.look(f"{stamp_ns(left.header) / 1e9:.3f} s", *grays)
+            look = self._live.add(f"{stamp_ns(left.header) / 1e9:.3f} s", *grays)
             self._say(look.value)
-            if look is Look.TAKEN:
+            if look is ViewStatus.ADDED:
                 advice = "; ".join(self._live.advice) or "enough views: call ~/calibrate"
                 self.get_logger().info(f"view {len(self._live.views)} taken; {advice}")
             if self._overlay.wanted:
                 self._publish_overlay(frames[0], grays[0], look)
 
-    def _publish_overlay(self, frame: Frame, gray: U8, look: Look) -> None:
+    def _publish_overlay(self, frame: Frame, gray: U8, look: ViewStatus) -> None:
         live = self._live
         taken = [view.left.image_px for view in live.views]
         seen = live.seen.image_px if live.seen is not None else None

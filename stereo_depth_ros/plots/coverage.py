@@ -7,7 +7,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stereo_depth_ros.calibration.calibration_result import StereoCalibration, ViewFigures
+from stereo_depth_ros.calibration.calibration_result import StereoCalibration, ViewErrors
 from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.plots.drawing import FAINT, TEXT, Color, canvas, draw_text, round_ticks
 
@@ -64,7 +64,7 @@ def _draw_corners(panel: U8, points: F64, color: Color) -> None:
         cv2.circle(panel, (int(x), int(y)), 2 * 16, color, -1, cv2.LINE_AA, shift=4)
 
 
-def _draw_bars(panel: U8, views: tuple[ViewFigures, ...], largest: float) -> None:
+def _draw_bars(panel: U8, views: tuple[ViewErrors, ...], largest: float) -> None:
     """Root mean square error of each view, left and right side by side."""
     left_edge, pitch = 60, (panel.shape[1] - 60) / len(views)
     bar = max(1, min(18, int(0.4 * pitch)))
