@@ -104,10 +104,10 @@ def test_known_errors_are_one_line_and_exit_code_1(run: Run, bag: Path, tmp_path
     code, out, err = run("info", tmp_path / "none.mcap")
     assert (code, out) == (1, "")
     assert err.startswith("error: ") and "none.mcap does not exist" in err and err.count("\n") == 1
-    assert "is read by this command: write to another file" in run("process", bag, "-o", bag)[2]
+    assert "in.mcap: would overwrite an input: write to another file" in run("process", bag, "-o", bag)[2]
     assert "does not end in .mcap" in run("process", bag, "-o", tmp_path / "o.bag")[2]
     assert "did you mean 'speckle_size'" in run("process", bag, "-o", tmp_path / "o.mcap", "-p", "speckle_siz:=3")[2]
-    assert "cannot write" in run("parameters", "--json", tmp_path / "none" / "p.json")[2]
+    assert "p.json: cannot be written: folder " in run("parameters", "--json", tmp_path / "none" / "p.json")[2]
 
 
 def test_wrong_usage_is_exit_code_2(run: Run, bag: Path) -> None:

@@ -109,7 +109,7 @@ def test_bag(run: Run, tmp_path: Path, photographs: list[tuple[U8, U8]]) -> None
         (("--model", "fisheye"), "'fisheye' is none of plumb_bob"),
         (("--square", "25"), "25 mm are 0.025"),
         (("--size", "8x6"), "but one of 7x5 in"),
-        (("--json", "nowhere/r.json"), "there is no folder"),
+        (("--json", "nowhere/r.json"), "folder nowhere does not exist"),
     ],
 )
 def test_wrong_input(run: Run, tmp_path: Path, folder: Path, arguments: tuple[str, ...], text: str) -> None:

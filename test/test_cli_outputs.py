@@ -89,7 +89,7 @@ def refused(result: tuple[int, str, str], text: str) -> None:
     assert text in err
 
 
-READ = "is read by this command: write to another file"
+READ = "would overwrite an input: write to another file"
 
 
 @pytest.mark.parametrize("command", ["process", "replay"])
@@ -142,8 +142,9 @@ def test_an_output_that_exists_stays_without_overwrite(run: Run, bag: Path, tmp_
     bag_out = tmp_path / "old.mcap"
     bag_out.write_text("precious")
     for command in ("process", "replay"):
-        refused(run(command, bag, "-o", bag_out), "old.mcap exists: remove it, write to another file, or give --overwr")
-        refused(run(command, bag, "-o", tmp_path / "o.mcap", "--json", old), "old exists")
+        remedy = "remove it, write to another file, or allow overwriting (--overwrite)"
+        refused(run(command, bag, "-o", bag_out), f"old.mcap: already exists: {remedy}")
+        refused(run(command, bag, "-o", tmp_path / "o.mcap", "--json", old), "old: already exists")
     for arguments in (
         ("info", bag, "--json", old),
         ("doctor", bag, "--json", old),
@@ -180,7 +181,7 @@ def test_overwrite_replaces(run: Run, bag: Path, tmp_path: Path) -> None:
 def test_a_demo_is_not_replaced_without_overwrite(run: Run, tmp_path: Path) -> None:
     for name in ("demo.mcap", "demo.png"):
         (tmp_path / name).write_text("old")
-        refused(run("demo", "--output-dir", tmp_path), f"{name} exists")
+        refused(run("demo", "--output-dir", tmp_path), f"{name}: already exists")
         assert (tmp_path / name).read_text() == "old"
         (tmp_path / name).unlink()
     assert "demo --overwrite" in (Path(__file__).resolve().parents[1] / "Makefile").read_text()
@@ -218,7 +219,7 @@ def test_calibrate_keeps_its_pictures_and_an_earlier_result(run: Run, tmp_path: 
     for name in ("left.yaml", "right.yaml", "calibration.json", "calibration.txt", "coverage.png"):
         (tmp_path / "o").mkdir()
         (tmp_path / "o" / name).write_text("old")
-        told = "no board of 9x6" if more else f"{name} exists"
+        told = "no board of 9x6" if more else f"{name}: already exists"
         refused(run("calibrate", tmp_path, *board, "-o", tmp_path / "o", *more), told)
         assert contents(tmp_path / "o") == {tmp_path / "o" / name: b"old"}
         shutil.rmtree(tmp_path / "o")
@@ -237,7 +238,7 @@ def test_evaluate_keeps_the_truth_and_earlier_pictures(run: Run, whole: Path, tm
     images.mkdir()
     for place, name in ((scene, "one_bm.png"), (scene, "one_bm_confidence.png"), (whole, "in_0001_bm.png")):
         (images / name).write_text("old")
-        refused(run("evaluate", place, *small, "--images", images), f"{name} exists")
+        refused(run("evaluate", place, *small, "--images", images), f"{name}: already exists")
         assert contents(images) == {images / name: b"old"}
         code, _, err = run("evaluate", place, *small, "--images", images, "--overwrite")
         assert code == 0, err
@@ -270,7 +271,7 @@ def test_what_cannot_be_written_is_told_before_the_work(
     (tmp_path / "file").write_text("")
     places: dict[str, tuple[object, ...]] = {"parameters": (), "demo": ("--output-dir", tmp_path / "d")}
     arguments = places.get(command, (bag, "-o", tmp_path / "o.mcap") if command in ("process", "replay") else (bag,))
-    refused(run(command, *arguments, "--json", tmp_path / target), "cannot write")
+    refused(run(command, *arguments, "--json", tmp_path / target), "cannot be written")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "in.mcap"]
 
 
@@ -332,7 +333,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, whole: Path) -> None:
         done = subprocess.run(
             [*STEREO_DEPTH, *arguments], capture_output=True, text=True, timeout=120, preexec_fn=limit_files
         )
-        refused((done.returncode, done.stdout, done.stderr), "make room on the disk")
+        refused((done.returncode, done.stdout, done.stderr), "free space on the disk")
         assert [path.name for path in tmp_path.iterdir()] == ["good.mcap"]
         assert (tmp_path / "good.mcap").read_text() == "good"
 

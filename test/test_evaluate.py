@@ -179,10 +179,10 @@ def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> N
     (tmp_path / "empty").mkdir()
     assert "empty has no scene with truth" in error(tmp_path / "empty", "--matcher", "bm")
     for option in ("--json", "--csv"):
-        assert "there is no folder" in error(tmp_path / "one", "--matcher", "bm", option, tmp_path / "no" / "r")
-    assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--csv", tmp_path)
+        assert f"folder {tmp_path / 'no'} does not exist" in error(tmp_path / "one", "--matcher", "bm", option, tmp_path / "no" / "r")
+    assert "cannot be written" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--csv", tmp_path)
     (tmp_path / "file").write_text("")
-    assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--images", tmp_path / "file")
+    assert "cannot be written" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--images", tmp_path / "file")
 
 
 def test_usage(run: Run, tmp_path: Path) -> None:

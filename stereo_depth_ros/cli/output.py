@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.kernels import compile_kernels
-from stereo_depth_ros.files.output import telling, write_file
+from stereo_depth_ros.files.output import as_output_errors, write_file
 from stereo_depth_ros.matching import matcher_from_config
 
 __all__ = [
@@ -70,7 +70,7 @@ def show(tables: Iterable[RenderableType], values: Any, json_file: Path | None, 
     if json_file is not None and str(json_file) != "-":
         write_file(json_file, text, overwrite=overwrite)
     console = Console(highlight=False)
-    with telling("standard output"):
+    with as_output_errors("standard output"):
         if str(json_file) == "-":
             console.file.write(text)
             return

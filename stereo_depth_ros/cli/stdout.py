@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 
 from stereo_depth_ros.core.errors import OutputError
-from stereo_depth_ros.files.output import telling
+from stereo_depth_ros.files.output import as_output_errors
 
 __all__ = ["finish_stdout"]
 
@@ -21,7 +21,7 @@ def finish_stdout() -> None:
         OutputError: it cannot be written.
     """
     try:
-        with telling("standard output"):
+        with as_output_errors("standard output"):
             if sys.stdout is not None:
                 sys.stdout.flush()
     except BrokenPipeError:
