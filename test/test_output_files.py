@@ -87,7 +87,7 @@ def test_existing_file_is_replaced_with_overwrite_only(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("hard_links", [True, False])
-def test_file_created_in_the_meantime_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hard_links: bool) -> None:
+def test_file_created_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hard_links: bool) -> None:
     if not hard_links:
 
         def refuse(*_: object) -> None:
@@ -135,7 +135,7 @@ def test_device_is_written_directly() -> None:
     write_file(Path(os.devnull), "text", overwrite=True)
     assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
     check_outputs((), reports=[Path(os.devnull), Path(os.devnull)])
-    with pytest.raises(OutputError, match="/dev/full: cannot be written: No space left on device: free space on the disk"):
+    with pytest.raises(OutputError, match=r"/dev/full: cannot be written: No space .*: free space on the disk"):
         write_file(Path("/dev/full"), "text")
 
 
@@ -166,7 +166,11 @@ def test_outputs_are_checked_before_anything_is_written(tmp_path: Path) -> None:
         ([], [tmp_path / "there"], "there: already exists: .*allow overwriting"),
         ([tmp_path], [], "it is a folder"),
         ([tmp_path / "there" / "a"], [], "there/a: cannot be written"),
-        ([], [tmp_path / "none" / "a"], "none/a: cannot be written: folder .*none does not exist: create it, or choose another folder"),
+        (
+            [],
+            [tmp_path / "none" / "a"],
+            "none/a: cannot be written: folder .*none does not exist: create it, or",
+        ),
         ([tmp_path / "a"], [tmp_path / "x" / ".." / "a"], "folder .* does not exist"),
         ([tmp_path / "a"], [tmp_path / "a"], "a: two outputs have this name: give each a different name"),
         ([tmp_path / ("a" * 300)], [], "File name too long"),
