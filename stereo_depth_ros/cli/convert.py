@@ -26,7 +26,7 @@ app = new_app(
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset.")]
 Output = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Bag to write.")]
-Rate = Annotated[float, typer.Option(help="Pairs per second, used if the dataset has no time stamps.")]
+Rate = Annotated[float, typer.Option(metavar="HZ", help="Pairs per second, used if the dataset has no time stamps.")]
 
 
 @app.command()
@@ -35,17 +35,19 @@ def middlebury(
     output: Output,
     calibration: Annotated[Path | None, typer.Option(metavar="FILE", help="calib.txt; that of DIR by default.")] = None,
     focal_px: Annotated[
-        float | None, typer.Option(help="Focal length in pixels if there is no calib.txt; needs --baseline-m.")
+        float | None, typer.Option(metavar="PIXELS", help="Focal length if there is no calib.txt; needs --baseline-m.")
     ] = None,
     baseline_m: Annotated[
-        float | None, typer.Option(help="Baseline in meters if there is no calib.txt; needs --focal-px.")
+        float | None, typer.Option(metavar="METERS", help="Baseline if there is no calib.txt; needs --focal-px.")
     ] = None,
     doffs: Annotated[
-        float | None, typer.Option(help="Difference cx_right - cx_left in pixels, as in calib.txt.")
+        float | None, typer.Option(metavar="PIXELS", help="Difference cx_right - cx_left, as in calib.txt.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Convert a Middlebury (2001 to 2014) or ETH3D two-view scene: one pair.
+    """Convert a Middlebury or ETH3D scene.
+
+    Middlebury scenes of 2001 to 2014 and ETH3D two-view scenes are read. The bag contains one pair.
 
     \b
     Examples:
@@ -60,7 +62,9 @@ def middlebury(
 
 @app.command()
 def kitti(folder: Folder, output: Output, rate: Rate = 10.0, overwrite: Overwrite = False) -> None:
-    """Convert a KITTI odometry or raw sequence, or the training pairs of a KITTI stereo benchmark.
+    """Convert a KITTI sequence or benchmark.
+
+    Odometry and raw sequences and the training pairs of the stereo benchmarks are read.
 
     \b
     Example:
@@ -71,7 +75,9 @@ def kitti(folder: Folder, output: Output, rate: Rate = 10.0, overwrite: Overwrit
 
 @app.command()
 def euroc(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
-    """Convert a EuRoC MAV sequence: raw, distorted pairs with the time stamps of the dataset.
+    """Convert a EuRoC MAV sequence.
+
+    The bag contains the raw, distorted pairs with the time stamps of the dataset.
 
     \b
     Example:
@@ -93,11 +99,12 @@ def images(
     rate: Rate = 10.0,
     overwrite: Overwrite = False,
 ) -> None:
-    """Convert a folder of images with the two YAML files of camera_calibration.
+    """Convert a folder of images.
 
-    The images are in DIR/left and DIR/right, or named left*.png and right*.png. Two images form a pair if their names
-    differ only in left and right, l and r, cam0 and cam1 or image_0 and image_1, and in leading zeros. Images without
-    a partner are skipped with a warning.
+    The calibration is read from two YAML files in the format of camera_calibration. The images are in DIR/left and
+    DIR/right, or named left*.png and right*.png. Two images form a pair if their names differ only in left and right,
+    l and r, cam0 and cam1 or image_0 and image_1, and in leading zeros. Images without a partner are skipped with a
+    warning.
 
     \b
     Example:

@@ -40,7 +40,7 @@ _SHOWN = {
 @app.command()
 def doctor(
     bag: Annotated[
-        Path | None, typer.Argument(metavar="[BAG]", help="MCAP or .db3 file, or rosbag2 folder; not with --live.")
+        Path | None, typer.Argument(metavar="BAG", help="MCAP or .db3 file, or rosbag2 folder; not with --live.")
     ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Examine the running graph in the current ROS_DOMAIN_ID.")
@@ -53,7 +53,9 @@ def doctor(
     right_namespace: Annotated[
         str, typer.Option(metavar="NAME", help="With --live: namespace of the right camera.")
     ] = "right",
-    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="With --live: seconds to listen.")] = 5.0,
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=3600, metavar="SECONDS", help="With --live: time to listen.")
+    ] = 5.0,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:

@@ -43,7 +43,7 @@ _BAG_SUFFIXES = (".mcap", ".db3")
 @app.command()
 def evaluate(
     places: Annotated[
-        list[Path], typer.Argument(metavar="DIR|BAG...", help="Dataset folders, or bags with ground truth.")
+        list[Path], typer.Argument(metavar="DIR|BAG", help="Dataset folders, or bags with ground truth.")
     ],
     matcher: Annotated[
         list[str], typer.Option(metavar="NAME", help=f"Matcher to evaluate; may be repeated: {', '.join(MATCHERS)}.")

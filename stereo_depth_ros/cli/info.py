@@ -24,6 +24,8 @@ def info(
 ) -> None:
     """List the contents of a bag and state whether it is usable for stereo depth, and if not, why.
 
+    Exit codes: 0 usable, 1 not usable or an error, 2 wrong usage.
+
     \b
     Examples:
       stereo-depth info drive.mcap

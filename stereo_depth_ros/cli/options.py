@@ -35,8 +35,8 @@ Json = Annotated[
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing output files.")]
 Left = Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left image topic; detected by default.")]
 Right = Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic; detected by default.")]
-Start = Annotated[float, typer.Option(min=0, help="Seconds to skip at the beginning of the bag.")]
-Duration = Annotated[float, typer.Option(min=0, help="Seconds of the bag to read; 0: all.")]
+Start = Annotated[float, typer.Option(min=0, metavar="SECONDS", help="Time to skip at the beginning of the bag.")]
+Duration = Annotated[float, typer.Option(min=0, metavar="SECONDS", help="Time to read; 0: all.")]
 Matcher = Annotated[str | None, typer.Option(metavar="NAME", help=f"Matcher: {', '.join(MATCHERS)}.")]
 Params = Annotated[
     list[str] | None, typer.Option("--param", "-p", metavar="NAME:=VALUE", help="Set a parameter; may be repeated.")

@@ -47,6 +47,8 @@ def process(
 ) -> None:
     """Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.
 
+    Exit codes: 0 success, 1 an error, 2 wrong usage, 3 some pairs were skipped.
+
     \b
     Examples:
       stereo-depth process drive.mcap -o depth.mcap

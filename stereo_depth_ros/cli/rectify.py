@@ -59,7 +59,7 @@ def rectify(
         typer.Option(metavar="NAME", help=f"Compute new R and P: {', '.join(METHODS)}; default: those of the rig."),
     ] = None,
     alpha: Annotated[
-        float, typer.Option(help="With --method: 0 keeps valid pixels only, 1 keeps all raw pixels.")
+        float, typer.Option(metavar="0..1", help="With --method: 0 keeps valid pixels only, 1 keeps all raw pixels.")
     ] = 0.0,
     json_file: Json = None,
     overwrite: Overwrite = False,

@@ -44,17 +44,21 @@ def replay(
     matcher: Matcher = None,
     param: Params = None,
     params_file: ParamsFile = None,
-    rate: Annotated[float, typer.Option(min=0, help="Maximum speed relative to the recording; 0: no limit.")] = 0.0,
+    rate: Annotated[
+        float, typer.Option(min=0, metavar="FACTOR", help="Maximum speed relative to the recording; 0: no limit.")
+    ] = 0.0,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Send pairs at the rate of the recording; late pairs are dropped.")
     ] = False,
     clock: Annotated[bool, typer.Option("--clock", help="Publish /clock; the nodes use simulated time.")] = False,
-    loop: Annotated[int, typer.Option(min=1, help="Number of times to play the bag.")] = 1,
+    loop: Annotated[int, typer.Option(min=1, metavar="N", help="Number of times to play the bag.")] = 1,
     start: Start = 0.0,
     duration: Duration = 0.0,
     left: Left = None,
     right: Right = None,
-    in_flight: Annotated[int, typer.Option(min=1, max=100, help="Number of pairs processed at the same time.")] = 1,
+    in_flight: Annotated[
+        int, typer.Option(min=1, max=100, metavar="N", help="Number of pairs processed at the same time.")
+    ] = 1,
     health: Annotated[bool, typer.Option("--health", help="Run the calibration monitor as well.")] = False,
     auto_correct: Annotated[
         bool, typer.Option("--auto-correct", help="Run the calibration monitor and rectify with its correction.")
