@@ -204,7 +204,9 @@ def test_rectify_keeps_its_images_and_its_calibration(run: Run, tmp_path: Path, 
     if more:
         assert result[0] == 0, result
     else:
-        refused(result, "rows.png exists")
+        refused(
+            result, "rows.png: already exists: remove it, write to another file, or allow overwriting (--overwrite)"
+        )
         assert contents(tmp_path / "out") == {tmp_path / "out" / "rows.png": b"old"}
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import typer
 
-from stereo_depth_ros.cli.errors import error_line, error_text
+from stereo_depth_ros.cli.errors import command_options, error_line, error_text
 from stereo_depth_ros.cli.main import COMMANDS, app
 from stereo_depth_ros.core.errors import TopicError
 
@@ -69,6 +69,17 @@ def test_settings_of_an_error_become_options() -> None:
     assert error_line(error) == "error: 2 pairs are equally good: name both (--left, --param disparity_range:=...)"
     assert error_line(TopicError("no topic", subject="drive.mcap")) == "error: drive.mcap: no topic"
     assert error_text(error.about("drive.mcap")).startswith("drive.mcap: 2 pairs are equally good: name both (--left")
+
+
+def test_only_options_of_the_command_are_named() -> None:
+    group: Any = typer.main.get_command(app)
+    options = {name: command_options(group.get_command(None, name)) for name in ("process", "convert", "calibrate")}
+    names = ("overwrite", "start_seconds", "rate_hz", "disparity_range", "board", "compression")
+    error = TopicError("problem", settings=names)
+    found = {name: error_text(error, options[name]) for name in options}
+    assert found["process"] == "problem (--overwrite, --start, --param disparity_range:=...)"
+    assert found["convert"] == "problem (--overwrite, --rate)"
+    assert found["calibrate"] == "problem (--overwrite, --board)"
 
 
 def test_an_error_is_one_line_without_an_error_number() -> None:

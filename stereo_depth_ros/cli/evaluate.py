@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_depth_ros.cli.errors import error_text
+from stereo_depth_ros.cli.errors import command_options, error_text
 from stereo_depth_ros.cli.evaluate_tables import evaluate_tables
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, messages, parameter_files, progress_bar, show, warn
@@ -42,6 +42,7 @@ _BAG_SUFFIXES = (".mcap", ".db3")
 
 @app.command()
 def evaluate(
+    context: typer.Context,
     places: Annotated[
         list[Path], typer.Argument(metavar="DIR|BAG", help="Dataset folders, or bags with ground truth.")
     ],
@@ -92,7 +93,7 @@ def evaluate(
         write_file(csv_file, _csv(rows), overwrite=overwrite)
     show(evaluate_tables(rows, "disparity_range" in values, plots), rows, json_file, overwrite=overwrite)
     for error in skipped:
-        warn(error_text(error))
+        warn(error_text(error, command_options(context.command)))
     if skipped:
         messages.print(f"error: {len(skipped)} skipped: see the warnings above")
         raise typer.Exit(EXIT_INCOMPLETE)

@@ -10,14 +10,14 @@ from __future__ import annotations
 import importlib
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from stereo_depth_ros.cli.errors import error_line
+from stereo_depth_ros.cli.errors import command_options, error_line
 from stereo_depth_ros.cli.stdout import finish_stdout
 from stereo_depth_ros.core.errors import StereoDepthError
 
@@ -97,8 +97,15 @@ def main() -> None:
         finally:
             finish_stdout()
     except (StereoDepthError, OSError) as error:
-        print(error_line(error), file=sys.stderr)
+        print(error_line(error, _called_options(sys.argv[1:])), file=sys.stderr)
         sys.exit(1)
+
+
+def _called_options(arguments: Sequence[str]) -> set[str]:
+    """The options of the command in the arguments."""
+    group: Any = typer.main.get_command(app)
+    name = next((argument for argument in arguments if argument in COMMANDS), None)
+    return command_options(group.get_command(None, name)) if name else set()
 
 
 def _interrupt(*_: Any) -> None:
