@@ -79,7 +79,7 @@ def test_chunks_are_compressed_as_asked_and_rosbags_reads_them(tmp_path: Path, c
 def test_an_existing_bag_is_replaced_only_when_asked(tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     path.write_bytes(b"old")
-    with pytest.raises(BagError, match=r"out\.mcap exists: remove it"):
+    with pytest.raises(BagError, match=r"out\.mcap: already exists: remove it"):
         BagWriter(path)
     with BagWriter(path, overwrite=True) as bag:
         bag.write("/image", make_image(1), 1)
@@ -116,7 +116,7 @@ def test_bad_arguments_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"out\.bag: bags are written as MCAP"):
         BagWriter(tmp_path / "out.bag")
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(BagError, match=r"cannot write .*file/out\.mcap"):
+    with pytest.raises(BagError, match=r"file/out\.mcap: cannot be written"):
         BagWriter(tmp_path / "file" / "out.mcap")
 
 

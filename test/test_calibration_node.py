@@ -204,7 +204,7 @@ def test_a_folder_that_cannot_be_written(photographs: list[tuple[U8, U8]], tmp_p
         assert trigger(graph, "calibrate")[0]
         success, text = trigger(graph, "save")
         assert not success
-        assert "cannot write" in text and "take a folder that can be written" in text
+        assert "cannot be written" in text and "choose a writable folder" in text
 
 
 def test_what_is_wrong_with_pictures_is_told(photographs: list[tuple[U8, U8]]) -> None:

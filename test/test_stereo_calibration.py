@@ -226,7 +226,7 @@ def test_files_are_read_back_as_they_are(tmp_path: Path) -> None:
 def test_files_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     found = calibrate(exact_views(FISHEYE, 8, 0.2), "equidistant")
-    with pytest.raises(OutputError, match=r"cannot write .*file/.*take a folder that can be written"):
+    with pytest.raises(OutputError, match=r"file/.*: cannot be written: .*choose a writable folder"):
         save_calibration(found, tmp_path / "file")
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth doctor`: what is wrong with a stereo setup, and what to do about it."""
+"""`stereo-depth doctor`: examines a stereo setup and states faults and remedies."""
 
 from __future__ import annotations
 
@@ -40,24 +40,32 @@ _SHOWN = {
 @app.command()
 def doctor(
     bag: Annotated[
-        Path | None, typer.Argument(metavar="[BAG]", help="MCAP or .db3 file, or rosbag2 folder; or --live.")
+        Path | None, typer.Argument(metavar="BAG", help="MCAP or .db3 file, or rosbag2 folder; not with --live.")
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="Listen to the running graph, in this ROS_DOMAIN_ID.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Examine the running graph in the current ROS_DOMAIN_ID.")
+    ] = False,
     left: Left = None,
     right: Right = None,
-    left_namespace: Annotated[str, typer.Option(metavar="NAME", help="Of the left camera's topics, live.")] = "left",
-    right_namespace: Annotated[str, typer.Option(metavar="NAME", help="Of the right camera's topics, live.")] = "right",
-    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="How long to listen, live.")] = 5.0,
+    left_namespace: Annotated[
+        str, typer.Option(metavar="NAME", help="With --live: namespace of the left camera.")
+    ] = "left",
+    right_namespace: Annotated[
+        str, typer.Option(metavar="NAME", help="With --live: namespace of the right camera.")
+    ] = "right",
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=3600, metavar="SECONDS", help="With --live: time to listen.")
+    ] = 5.0,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Examine a stereo setup: calibration, stamps, images, rows; state what is wrong and what to do.
+    """Examine the calibration, time stamps and images of a stereo setup, and state faults and remedies.
 
-    Topics are found as by `info` in a bag; live they are image_raw (else image_rect) and camera_info in the namespaces,
-    or what --left and --right name.
+    In a bag, topics are detected as by `info`. With --live they are image_raw (or else image_rect) and camera_info in
+    the two namespaces, unless --left and --right are given.
 
     Exit codes: 0 no fault (there may be warnings), 1 a fault, or nothing can be examined, 2 wrong usage, 3 no fault was
-    found but not everything could be looked at.
+    found but some checks were skipped.
 
     \b
     Examples:
@@ -95,7 +103,7 @@ def _listen(
 
 
 def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
-    """All findings, what to do about those that are not fine, and the verdict."""
+    """All findings, the remedies of faults and warnings, and the verdict."""
     findings = plain_table("check", "verdict", "found", "limit")
     for finding in diagnosis.findings:
         findings.add_row(finding.check, _SHOWN[finding.level], escape(finding.value), escape(finding.limit))

@@ -89,4 +89,4 @@ class Recorder:
 
     def _raise_error(self) -> None:
         if self._error is not None:
-            raise OutputError(f"recording stopped: {self._error}: make room on the disk") from self._error
+            raise OutputError(f"recording stopped: {self._error}: free space on the disk") from self._error
