@@ -96,5 +96,5 @@ def test_picture_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     image = np.zeros((3, 4, 3), np.uint8)
     save_png(tmp_path / "new" / "a.png", image)
     assert cv2.imread(str(tmp_path / "new" / "a.png")).shape == (3, 4, 3)
-    with pytest.raises(ImageError, match=r"cannot write .*a\.png/b\.png: .* take a folder"):
+    with pytest.raises(ImageError, match=r"cannot write .*a\.png/b\.png: .* choose a writable folder"):
         save_png(tmp_path / "new" / "a.png" / "b.png", image)
