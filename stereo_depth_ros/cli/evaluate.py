@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.cli.output import messages, progress_bar, show
 from stereo_depth_ros.cli.tables import evaluation_tables
 from stereo_depth_ros.config import MatchingConfig
@@ -29,7 +30,6 @@ from stereo_depth_ros.plots.error import error_plot
 __all__ = ["evaluate_command"]
 
 _EXIT_LEFT_OUT = 3  # some of what was asked for is missing
-_BAG_SUFFIXES = (".mcap", ".db3")
 
 
 def evaluate_command(
@@ -87,8 +87,7 @@ def evaluate_command(
 def _scenes(place: Path) -> SceneSet:
     if not place.exists():
         raise BagError(f"{place} does not exist: name a folder of a dataset, or a bag")
-    is_bag = place.is_file() or any(path.suffix in _BAG_SUFFIXES for path in place.iterdir())
-    return BagScenes(place) if is_bag else find_scenes(place)
+    return BagScenes(place) if place.is_file() or is_bag(place) else find_scenes(place)
 
 
 def _run(

@@ -17,12 +17,10 @@ from stereo_depth_ros.core.types import Frame, StereoPair
 from stereo_depth_ros.diagnosis.checks.streams import NEAR
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 from stereo_depth_ros.diagnosis.survey import PAIRS_LOOKED_AT, CameraRecord, StereoSetup
-from stereo_depth_ros.messages.cdr import cdr_stamp_ns
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns, without_stamp
 from stereo_depth_ros.messages.image import decode
 
 __all__ = ["survey_bag"]
-
-_AFTER_STAMP = 12  # of CDR bytes: encapsulation and stamp differ between equal camera infos
 
 
 def survey_bag(
@@ -92,7 +90,7 @@ class _BagSurvey:
             if message.topic in self._images:
                 self._images[message.topic].append((stamp_ns, message.log_time_ns))
             else:
-                self._infos[message.topic].setdefault(message.data[_AFTER_STAMP:], message)
+                self._infos[message.topic].setdefault(without_stamp(message.data), message)
             progress(number, total)
 
     def _record(self, side: str, image: str, info: str | None) -> CameraRecord:

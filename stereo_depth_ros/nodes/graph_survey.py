@@ -26,7 +26,7 @@ from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.diagnosis.checks.streams import NEAR
 from stereo_depth_ros.diagnosis.finding import Finding
 from stereo_depth_ros.diagnosis.survey import PAIRS_LOOKED_AT, CameraRecord, StereoSetup
-from stereo_depth_ros.messages.cdr import cdr_stamp_ns
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns, without_stamp
 from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.nodes.transport import prepare_process
 
@@ -37,7 +37,6 @@ _KINDS = {_IMAGE: Image, _COMPRESSED: CompressedImage}
 _IMAGE_NAMES = ("image_raw", "image_rect", "image_rect_color")
 _SETTLE_S = 1.0  # after the images, the camera infos are discovered within this time
 _UNSUBSCRIBE_S = 0.2
-_AFTER_STAMP = 12  # of CDR bytes: encapsulation and stamp differ between equal camera infos
 
 
 def camera_topics(namespace: str) -> tuple[str, ...]:
@@ -166,7 +165,7 @@ class _GraphSurvey:
             progress(int(gone), round(seconds))
 
     def _receive_info(self, side: str, data: bytes) -> None:
-        self._infos[side].setdefault(data[_AFTER_STAMP:], data)
+        self._infos[side].setdefault(without_stamp(data), data)
 
     def _receive_image(self, side: str, data: bytes) -> None:
         stamp_ns = cdr_stamp_ns(data)
