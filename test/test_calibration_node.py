@@ -220,9 +220,9 @@ def test_what_is_wrong_with_pictures_is_told(photographs: list[tuple[U8, U8]]) -
     ("parameters", "text"),
     [
         ({"board_size": "9by6"}, "board size '9by6' is not columns x rows"),
-        ({"board": "circles"}, "board = 'circles' is none of"),
+        ({"board": "circles"}, "board = 'circles' is not one of"),
         ({"board_square": 25.0}, r"board_square = 25\.0 is outside"),
-        ({"lens_model": "fisheye"}, "lens_model = 'fisheye' is none of"),
+        ({"lens_model": "fisheye"}, "lens_model = 'fisheye' is not one of"),
     ],
 )
 def test_boards_that_cannot_be_end_the_start(parameters: dict[str, Any], text: str) -> None:

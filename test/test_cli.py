@@ -16,8 +16,8 @@ import pytest
 from stereo_bags import PARAMETERS, messages_of, write_odd_bag, write_truth_bag
 
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.replay import graph_processes as graph_runner
 

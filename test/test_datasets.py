@@ -12,7 +12,7 @@ import pytest
 
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.reader import BagReader
-from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.errors import BagError, CalibrationError, ConfigError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32

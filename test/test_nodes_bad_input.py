@@ -206,7 +206,7 @@ INFO_CASES = (
     Case(
         "unknown distortion model",
         set_field(RIGHT_INFO, "distortion_model", "fov"),
-        "distortion_model 'fov' is none of plumb_bob, rational_polynomial, equidistant: calibrate",
+        "distortion_model 'fov' is not one of plumb_bob, rational_polynomial, equidistant: calibrate",
         "CalibrationError",
     ),
     Case(

@@ -77,6 +77,7 @@ def test_every_module_is_installed(install_space: Path) -> None:
     (site,) = install_space.glob("lib/python3*/site-packages")
     installed = {path.relative_to(site) for path in site.glob("stereo_depth_ros/**/*.py")}
     assert installed == {path.relative_to(ROOT) for path in PACKAGE.rglob("*.py")}
+    assert (site / "stereo_depth_ros" / "py.typed").is_file(), "type checkers ignore the annotations"
 
 
 def test_installed_package_finds_its_profile(install_space: Path) -> None:

@@ -20,8 +20,8 @@ import pytest
 import typer
 from stereo_bags import messages_of
 
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 

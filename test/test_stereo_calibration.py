@@ -23,7 +23,7 @@ from stereo_depth_ros.calibration.distortion_range import check_edges
 from stereo_depth_ros.calibration.row_error import match_rows
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
-from stereo_depth_ros.core.camera_yaml import read_camera
+from stereo_depth_ros.core.camera_yaml import camera_from_yaml
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64, U8
@@ -205,7 +205,7 @@ def test_files_are_read_back_as_they_are(tmp_path: Path) -> None:
     found = calibrate(exact_views(FISHEYE, 10, 0.2), "equidistant")
     save_calibration(found, tmp_path / "out")
     for name, camera in (("left", found.rig.left), ("right", found.rig.right)):
-        read = read_camera(tmp_path / "out" / f"{name}.yaml")
+        read = camera_from_yaml((tmp_path / "out" / f"{name}.yaml").read_text())
         for field in ("K", "D", "R", "P"):
             np.testing.assert_array_equal(getattr(read, field), getattr(camera, field))
         assert (read.width, read.height, read.distortion_model) == (*SIZE, "equidistant")

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.projection import parameter_names
-from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera_yaml import camera_to_yaml
 from stereo_depth_ros.core.errors import CalibrationError
 
-__all__ = ["save_calibration"]
+__all__ = ["save_calibration", "write_camera"]
 
 
 def save_calibration(calibration: StereoCalibration, folder: Path) -> None:
@@ -30,6 +31,20 @@ def save_calibration(calibration: StereoCalibration, folder: Path) -> None:
         raise CalibrationError(f"{folder}: cannot be written ({error.strerror}): choose another folder") from error
     write_camera(folder / "left.yaml", calibration.rig.left, "left")
     write_camera(folder / "right.yaml", calibration.rig.right, "right")
+
+
+def write_camera(path: Path, camera: CameraModel, camera_name: str) -> None:
+    """Writes a camera file in the format of ``camera_calibration``.
+
+    Raises:
+        CalibrationError: the file cannot be written.
+    """
+    try:
+        path.write_text(camera_to_yaml(camera, camera_name), encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(
+            f"cannot be written ({error})", subject=str(path), remedy="choose another folder"
+        ) from error
 
 
 def _report(calibration: StereoCalibration) -> Iterator[str]:

@@ -12,9 +12,9 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli.output import messages, show
 from stereo_depth_ros.cli.tables import facts_table
-from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
