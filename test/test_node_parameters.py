@@ -245,7 +245,7 @@ def test_change_that_the_images_are_too_small_for_is_told_and_can_be_undone(runn
             {"qos_overrides./left/image_rect.subscription.reliability": "relable"},
             {},
             ConfigError,
-            r"left/image_rect\.subscription\.reliability = 'relable' is none of .*reliable, best_effort",
+            r"left/image_rect\.subscription\.reliability = 'relable' is not one of .*reliable, best_effort",
         ),
         ({}, {"right/camera_info": "left/camera_info"}, TopicError, "left/camera_info and right/camera_info are both"),
     ],
@@ -301,7 +301,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], list[str], str]] = {
         ros_arguments(remaps={"right/image_rect": "left/image_rect"}),
         "left/image_rect and right/image_rect are both /left/image_rect: remap them to different topics",
     ),
-    "ROS argument": ({}, ["--ros-args", "-p", "min_disparity"], "check what stands behind --ros-args"),
+    "ROS argument": ({}, ["--ros-args", "-p", "min_disparity"], "check the arguments after --ros-args"),
 }
 
 

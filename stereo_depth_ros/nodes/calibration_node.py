@@ -31,6 +31,7 @@ from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.plots.coverage import coverage_plot
 from stereo_depth_ros.plots.drawing import save_png
@@ -144,7 +145,7 @@ class CalibrationNode(StereoNode):
                 with self._lock:
                     response.success, response.message = True, act()
             except StereoDepthError as error:
-                response.success, response.message = False, str(error)
+                response.success, response.message = False, error_text(error)
             if response.success:
                 self.get_logger().info(response.message)
             else:

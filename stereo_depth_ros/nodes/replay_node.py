@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plays a stereo bag through the live graph and records what comes out; a node, and a call for programs."""
+"""Plays a stereo bag through the live graph and records the outputs; a node, and a function for programs."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
 from stereo_depth_ros.core.errors import StereoDepthError
 from stereo_depth_ros.evaluation.bag_score import score_disparity
+from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
 from stereo_depth_ros.nodes.replay.player import Player
 from stereo_depth_ros.nodes.replay.recorder import Recorder
@@ -29,7 +30,13 @@ from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["main", "play", "replay"]
 
-_DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes tell their timings once a second
+_DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes publish their timings once a second
+# Parameters by what errors call them
+_PARAMETERS = {
+    **{info.name: info.name for config in (ReplayOptions, PairingConfig) for info in parameter_infos(config)},
+    "left": "left_topic",
+    "right": "right_topic",
+}
 
 
 def _nothing(*_: Any) -> None:
@@ -45,14 +52,14 @@ def replay(
     """Play a bag through the nodes that run in this ROS domain; rclpy is initialized for it and shut down after it.
 
     Args:
-        options: what is played, and how.
+        options: what to play, and how.
         progress: called with pairs sent and pairs to send (at most).
-        check: called many times a second; what it raises ends the replay.
+        check: called many times a second; ends the replay by raising.
         config: parameters of the nodes, for the pairing of the bag's images and for the record beside the outputs.
 
     Raises:
         BagError, TopicError: nothing to play, or the recording cannot be written.
-        GraphError: nobody subscribes an input or publishes an output, or nothing comes out.
+        GraphError: an input has no subscriber, an output no publisher, or no output arrives.
     """
     prepare_process()
     context = Context()
@@ -74,7 +81,7 @@ def play(
     progress: Callable[[int, int], None] = _nothing,
     check: Callable[[], None] = _nothing,
 ) -> ReplayResult:
-    """As :func:`replay`, with a node that is there already."""
+    """As :func:`replay`, with an existing node."""
     with BagPairs(options.selection, config.pairing) as pairs:
         with Recorder(options.output_path) as recorder:
             recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
@@ -83,7 +90,7 @@ def play(
             try:
                 player.play(progress)
                 ports.await_diagnostics(_DIAGNOSTICS_TIMEOUT_S)
-                intruders = "; ".join(ports.intruders())  # one that came, or was discovered, while the bag played
+                intruders = "; ".join(ports.intruders())  # may be discovered only while the bag plays
             finally:
                 ports.close()
         result = ReplayResult(
@@ -105,7 +112,7 @@ def play(
 
 
 def main() -> int:
-    """Run the node: play, log what became of it, end.
+    """Run the node: play, log the summary, end.
 
     Returns:
         0 after playing or a signal, 1 where the bag cannot be played, 3 where outputs were lost.
@@ -119,7 +126,7 @@ def main() -> int:
         node.get_logger().info(_summary(result))
         return 3 if result.lost and not result.realtime else 0
     except StereoDepthError as error:
-        get_logger("stereo_depth_ros").fatal(str(error))
+        get_logger("stereo_depth_ros").fatal(error_text(error, _PARAMETERS))
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
