@@ -269,8 +269,13 @@ class NodeProcess:
             )
 
     @property
+    def number(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
     def text(self) -> str:
-        """What it has written so far."""
+        """Its output so far."""
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:

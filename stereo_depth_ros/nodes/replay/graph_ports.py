@@ -28,7 +28,7 @@ from stereo_depth_ros.outputs import OUTPUTS
 __all__ = ["GraphPorts"]
 
 _MSGTYPES = {output.topic: output.msgtype for output in OUTPUTS}
-# What health_node says where it runs: recorded as it comes; whether it is latched
+# Messages of the calibration monitor, recorded where it runs; whether they are latched
 _NOTES = {
     "health/row_error": (Float64MultiArray, "std_msgs/msg/Float64MultiArray", False),
     "health/correction": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray", True),
