@@ -18,7 +18,7 @@ help: ## say what can be made
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile
 
 demo: venv ## play the sample bag through the live graph; prints a table, writes a bag and an image
-	$(BIN)/stereo-depth demo
+	$(BIN)/stereo-depth demo --overwrite
 
 test: venv ## run every test
 	$(BIN)/python -m pytest $(PYTEST_ARGS)

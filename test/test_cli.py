@@ -104,7 +104,7 @@ def test_known_errors_are_one_line_and_exit_code_1(run: Run, bag: Path, tmp_path
     code, out, err = run("info", tmp_path / "none.mcap")
     assert (code, out) == (1, "")
     assert err.startswith("error: ") and "none.mcap does not exist" in err and err.count("\n") == 1
-    assert "is the bag that is read" in run("process", bag, "-o", bag)[2]
+    assert "is read by this command: write to another file" in run("process", bag, "-o", bag)[2]
     assert "does not end in .mcap" in run("process", bag, "-o", tmp_path / "o.bag")[2]
     assert "did you mean 'speckle_size'" in run("process", bag, "-o", tmp_path / "o.mcap", "-p", "speckle_siz:=3")[2]
     assert "cannot write" in run("parameters", "--json", tmp_path / "none" / "p.json")[2]
@@ -181,7 +181,7 @@ def test_demo_plays_the_sample_bag_and_names_bag_and_picture(
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + 5 * (os.getpid() % 10) + 4))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setattr(cli, "_sample_bag", lambda: bag)
+    monkeypatch.setattr("stereo_depth_ros.cli.demo._sample_bag", lambda: bag)
     code, out, err = run("demo", "--output-dir", tmp_path / "out")
     assert code == 0, err
     assert len(messages_of(tmp_path / "out" / "demo.mcap", "/points2")) == 2

@@ -370,7 +370,7 @@ def test_euroc_folders_that_lack_something(tmp_path: Path) -> None:
         EurocDataset(folder)
 
 
-@pytest.mark.parametrize("pattern", ["{camera}/{index}.png", "{camera}{index}.png"])
+@pytest.mark.parametrize("pattern", ["{side}/{index}.png", "{side}{index}.png"])
 def test_images(tmp_path: Path, pattern: str) -> None:
     rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
     for index in range(2):

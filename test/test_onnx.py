@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -264,6 +265,16 @@ def test_two_threads_and_a_buffer_that_is_used_again(tmp_path: Path) -> None:
 
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(work, range(2))) == [True, True]
+
+
+def test_a_network_is_opened_once_and_again_when_its_file_changes(tmp_path: Path) -> None:
+    model = tmp_path / "model.onnx"
+    network = Network()
+    network.save(model, {"disparity": block_matching(network)})
+    checked, used = matcher(str(model)), matcher(str(model), min_disparity=3)
+    assert used._session is checked._session, "the one that the parameters were checked with"
+    os.utime(model, ns=(1, 1))
+    assert matcher(str(model))._session is not checked._session
 
 
 def test_missing_model_or_file(tmp_path: Path) -> None:

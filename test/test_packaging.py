@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "stereo_depth_ros"
 NODES = {
     *("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node"),
-    *("feature_node", "health_node", "calibration_node", "replay_node"),
+    *("feature_node", "calibration_monitor", "calibration_node", "replay_node"),
 }
 NOT_SOURCE = (".git", ".venv*", "build", "install", "log", "out", "__pycache__", "*.egg-info", ".*_cache")
 
@@ -69,7 +69,7 @@ def test_share_is_complete(install_space: Path) -> None:
 
 def test_executables_are_where_ros2_run_looks(install_space: Path) -> None:
     folder = install_space / "lib" / "stereo_depth_ros"
-    assert {path.name for path in folder.iterdir()} == NODES | {"stereo-depth"}
+    assert {path.name for path in folder.iterdir()} == NODES | {"health_node", "stereo-depth"}
     assert all(os.access(path, os.X_OK) for path in folder.iterdir())
 
 

@@ -24,7 +24,7 @@ from stereo_depth_ros.calibration.row_error import match_rows
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
 from stereo_depth_ros.core.camera_yaml import camera_from_yaml
-from stereo_depth_ros.core.errors import CalibrationError, ConfigError
+from stereo_depth_ros.core.errors import CalibrationError, ConfigError, OutputError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.datasets.stereo_images import open_stereo_images
@@ -221,7 +221,7 @@ def test_files_are_read_back_as_they_are(tmp_path: Path) -> None:
 def test_files_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     found = calibrate(exact_views(FISHEYE, 8, 0.2), "equidistant")
-    with pytest.raises(CalibrationError, match=r"file.*cannot be written .*choose another folder"):
+    with pytest.raises(OutputError, match=r"cannot write .*file/.*take a folder that can be written"):
         save_calibration(found, tmp_path / "file")
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.files.output import write_file
 
 __all__ = ["render_files", "render_table", "render_yaml", "replace_section", "write_files"]
 
@@ -74,11 +75,11 @@ def write_files(root: str | Path) -> None:
     Raises:
         ConfigError: the README has no place for the tables.
     """
-    (Path(root) / "config" / "stereo_depth.yaml").write_text(render_yaml(), encoding="utf-8")
+    write_file(Path(root) / "config" / "stereo_depth.yaml", render_yaml(), overwrite=True)
     readme = Path(root) / "README.md"
     text = replace_section(readme.read_text(encoding="utf-8"), "parameters", render_table())
     text = replace_section(text, "files", render_files(root))
-    readme.write_text(text, encoding="utf-8")
+    write_file(readme, text, overwrite=True)
 
 
 def _stages() -> Iterator[tuple[str, object]]:

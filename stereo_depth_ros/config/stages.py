@@ -159,6 +159,7 @@ class CalibrationConfig(Checked):
     calibration_folder: str = parameter(
         "calibration", "Folder in which ~/save writes left.yaml, right.yaml and the report."
     )
+    overwrite: bool = parameter(False, "~/save replaces the files that are there.")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ __all__ = [
     "GraphError",
     "ImageError",
     "MessageError",
+    "OutputError",
     "StereoDepthError",
     "TopicError",
 ]
@@ -83,7 +84,11 @@ class MessageError(StereoDepthError):
 
 
 class BagError(StereoDepthError):
-    """A bag or dataset that cannot be opened, read or written."""
+    """A bag, a dataset or another file that cannot be opened, read or written."""
+
+
+class OutputError(BagError):
+    """A file that cannot be written, or that would destroy what is read or what is there."""
 
 
 class TopicError(StereoDepthError):

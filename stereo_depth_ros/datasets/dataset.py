@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from stereo_depth_ros.core.rig import StereoRig
@@ -35,10 +36,12 @@ class StereoDataset(Protocol):
     Attributes:
         rig: the calibration.
         has_stamps: the stamps of the frames are times; otherwise all are 0, and who needs times counts the frames.
+        files: all that is read.
     """
 
     rig: StereoRig
     has_stamps: bool
+    files: list[Path]
 
     def __len__(self) -> int: ...
 

@@ -40,6 +40,7 @@ class ImagesDataset:
         if missing := [str(path) for path in files if not path.exists()]:
             raise BagError(f"no calibration {', '.join(missing)}: write it with camera_calibration, or name another")
         self._pairs, self.left_out, self.warnings = found.pairs, len(found.left_out), found.warnings
+        self.files = [*files, *(path for pair in found.pairs for path in pair), *found.left_out]
         self.rig = _named(StereoRig.from_yaml(*files))
         for path in self._pairs[0]:
             check_sizes(self.rig, path)

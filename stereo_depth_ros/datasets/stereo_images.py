@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
-from stereo_depth_ros.bags.sources import is_bag
+from stereo_depth_ros.bags.sources import bag_files, is_bag
 from stereo_depth_ros.bags.topics import find_stereo_topics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import BagError, TopicError
@@ -42,10 +42,12 @@ class StereoImages(Protocol):
     Attributes:
         warnings: what was left out, a sentence each; final when all pairs have been read.
         dense: a recording, in which one image is like the next.
+        files: all that is read.
     """
 
     warnings: list[str]
     dense: bool
+    files: list[Path]
 
     def __len__(self) -> int:
         """Number of pairs, or an upper bound of it."""
@@ -94,6 +96,7 @@ class FolderImages:
         except BagError as error:
             raise BagError(f"{error}, or give --left and --right patterns" if left is None else str(error)) from error
         self._pairs, self.warnings = found.pairs, found.warnings
+        self.files = [path for pair in self._pairs for path in pair]
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -123,6 +126,7 @@ class BagImages:
 
     def __init__(self, path: Path, left: str | None = None, right: str | None = None) -> None:
         self._path = path
+        self.files = bag_files(path)
         with BagReader(path) as reader:
             types = {name: info.msgtype for name, info in reader.topics.items()}
             self.warnings = [reader.warning] if reader.warning else []

@@ -13,6 +13,7 @@ import numpy as np
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.core.rig import StereoRig
@@ -37,6 +38,10 @@ class BagScenes:
     Args:
         path: the bag.
 
+    Attributes:
+        names: every name that one of the scenes may have.
+        files: all that is read.
+
     Raises:
         BagError: no bag.
         TopicError: no truth in it, or no stereo pair.
@@ -52,7 +57,9 @@ class BagScenes:
                     "`stereo-depth convert` or `stereo-depth synthesize`"
                 )
             self._truth_type, self._count = reader.topics[TRUTH_TOPIC].msgtype, reader.topics[TRUTH_TOPIC].count
-        BagPairs(BagSelection(path), PairingConfig()).close()  # a bag without pairs is refused before anything runs
+        with BagPairs(BagSelection(path), PairingConfig()) as pairs:  # a bag without is refused before anything runs
+            self.names = [self._name(number) for number in range(pairs.count)]
+        self.files = bag_files(path)
 
     def __len__(self) -> int:
         return self._count
@@ -66,8 +73,10 @@ class BagScenes:
                 while known is not None and known[0] < pair.stamp_ns:
                     known = next(truths, None)
                 if known is not None and known[0] == pair.stamp_ns:
-                    name = f"{self._path.resolve().stem}/{number:04d}"
-                    yield SceneSource(name, partial(self._load, pair, known[1], image_type))
+                    yield SceneSource(self._name(number), partial(self._load, pair, known[1], image_type))
+
+    def _name(self, number: int) -> str:
+        return f"{self._path.resolve().stem}/{number:04d}"
 
     def _load(self, pair: SerializedPair, truth: bytes, image_type: str) -> Scene:
         types = self._types

@@ -8,6 +8,8 @@ import dataclasses
 import threading
 from abc import ABC, abstractmethod
 
+import numpy as np
+
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.matching.protocol import check_buffer, check_images
@@ -35,6 +37,7 @@ class SerialMatcher(ABC):
         check_images(left, right)
         if out is not None:
             check_buffer(out, left.shape)
+        left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         with self._turn:
             result = self._match(left, right)
         if out is None:
@@ -48,5 +51,5 @@ class SerialMatcher(ABC):
         """The result in new arrays; buffers may be kept in ``self`` between calls.
 
         Args:
-            left, right: uint8 (H, W), of one size; whether the search fits is for the method to check.
+            left, right: uint8 (H, W), C-contiguous, of one size; whether the search fits is for the method to check.
         """

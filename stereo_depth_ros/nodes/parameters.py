@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -96,7 +97,7 @@ def error_text(error: StereoDepthError, parameters: Mapping[str, str] = _PARAMET
     """
     text = str(error)
     names = [parameters[setting] for setting in error.settings if setting in parameters]
-    missing = [name for name in names if name not in text]
+    missing = [name for name in names if not re.search(rf"(?<![\w-]){name}\b", text)]
     return f"{text} (parameter{'s' * (len(missing) > 1)}: {', '.join(missing)})" if missing else text
 
 

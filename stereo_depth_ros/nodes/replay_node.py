@@ -16,8 +16,10 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 
 from stereo_depth_ros.bags.pairs import BagPairs
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
-from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.errors import BagError, GraphError, StereoDepthError
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
@@ -28,7 +30,7 @@ from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import ReplayResult
 from stereo_depth_ros.replay.options import ReplayOptions
 
-__all__ = ["main", "play", "replay"]
+__all__ = ["check_recording", "main", "play", "replay"]
 
 _DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes publish their timings once a second
 # Parameters by what errors call them
@@ -58,7 +60,8 @@ def replay(
         config: parameters of the nodes, for the pairing of the bag's images and for the record beside the outputs.
 
     Raises:
-        BagError, TopicError: nothing to play, or the recording cannot be written.
+        BagError, TopicError: nothing to play.
+        OutputError: the output exists and is not to be overwritten, or it is read, or it cannot be written.
         GraphError: an input has no subscriber, an output no publisher, or no output arrives.
     """
     prepare_process()
@@ -74,6 +77,17 @@ def replay(
         rclpy.try_shutdown(context=context)
 
 
+def check_recording(options: ReplayOptions) -> None:
+    """Refuse an output that must not or cannot be written, before anything is played.
+
+    Raises:
+        BagError: its name does not end in .mcap.
+        OutputError: it exists and is not to be overwritten, or it is read, or it cannot be written.
+    """
+    if options.output_path is not None:
+        check_bag_output(options.output_path, bag_files(options.selection.path), overwrite=options.overwrite)
+
+
 def play(
     node: Node,
     options: ReplayOptions,
@@ -82,8 +96,9 @@ def play(
     check: Callable[[], None] = _nothing,
 ) -> ReplayResult:
     """As :func:`replay`, with an existing node."""
+    check_recording(options)
     with BagPairs(options.selection, config.pairing) as pairs:
-        with Recorder(options.output_path) as recorder:
+        with Recorder(options.output_path, overwrite=options.overwrite) as recorder:
             recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
             ports = GraphPorts(node, recorder, pairs.topics.compressed, options.clock)
             player = Player(ports, pairs, options, config.pairing.approximate_sync, check)
@@ -93,6 +108,7 @@ def play(
                 intruders = "; ".join(ports.intruders())  # may be discovered only while the bag plays
             finally:
                 ports.close()
+            _check_played(options, player, ports.errors_reported())
         result = ReplayResult(
             bag=options.selection.path,
             output=options.output_path,
@@ -109,6 +125,14 @@ def play(
         return result
     topic = node.resolve_topic_name("disparity")
     return dataclasses.replace(result, score=score_disparity(options.output_path, options.selection.path, topic))
+
+
+def _check_played(options: ReplayOptions, player: Player, errors_reported: str) -> None:
+    """Refuse to keep a recording without outputs."""
+    if not player.sent:
+        raise BagError(f"{options.bag} has no pair from {options.start_seconds:g} s on: begin earlier, or read more")
+    if options.output_path is not None and not any(stats.received for stats in player.stats.values()):
+        raise GraphError(f"no output for all {player.sent} pairs: {errors_reported or 'the nodes complain of nothing'}")
 
 
 def main() -> int:

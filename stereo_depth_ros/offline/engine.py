@@ -12,9 +12,10 @@ from typing import Any
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
-from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig
-from stereo_depth_ros.core.errors import BagError, StereoDepthError
+from stereo_depth_ros.core.errors import BagError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.evaluation.bag_score import score_disparity
@@ -35,6 +36,8 @@ def process_bag(
     output: Path,
     config: PipelineConfig,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    overwrite: bool = False,
 ) -> ReplayResult:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
@@ -42,23 +45,28 @@ def process_bag(
 
     Args:
         selection: which bag, topics and part of it.
-        output: the bag to write; replaced when it exists.
+        output: the bag to write.
         config: parameters of all stages.
         progress: called with pairs done and pairs to do (at most).
+        overwrite: replace the output where it exists.
 
     Raises:
-        BagError, TopicError: nothing to read, cannot be written, or not one pair could be processed.
+        BagError, TopicError: nothing to read, or not one pair could be processed.
+        OutputError: the output exists and ``overwrite`` is false, or it is read, or it cannot be written.
         ConfigError: parameters that contradict each other.
     """
+    check_bag_output(output, bag_files(selection.path), overwrite=overwrite)
     refused: dict[str, str] = {}
     stages_ms: dict[str, list[float]] = defaultdict(list)
     engine = _Engine(config)
     with BagPairs(selection, config.pairing) as pairs:
-        with BagWriter(output, compression="lz4", overwrite=True) as writer:
+        with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
             start, sent, left_out = time.perf_counter(), 0, 0
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
                     timings_ms = engine.process(pair, pairs.topics.compressed, writer)
+                except OutputError:
+                    raise
                 except StereoDepthError as error:
                     left_out += 1
                     refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} left out: {error}")

@@ -46,13 +46,14 @@ def preview(left: U8, depth_m: F32, title: str = "") -> U8:
     return _compose(panels, captions, title, near_m, far_m)
 
 
-def save_preview(path: Path, left: U8, depth_m: F32, title: str = "") -> None:
+def save_preview(path: Path, left: U8, depth_m: F32, title: str = "", *, overwrite: bool = False) -> None:
     """Write :func:`preview` as a PNG.
 
     Raises:
-        ImageError: the sizes differ, or the file cannot be written.
+        ImageError: the sizes differ.
+        OutputError: the file is there and ``overwrite`` is false, or it cannot be written.
     """
-    save_png(path, preview(left, depth_m, title))
+    save_png(path, preview(left, depth_m, title), overwrite=overwrite)
 
 
 def color_depth(depth_m: F32, near_m: float, far_m: float) -> U8:

@@ -29,6 +29,7 @@ class ReplayOptions:
 
     bag: str = _option("", "Bag to play: .mcap, .db3, a rosbag2 folder.")
     output: str = _option("", "MCAP bag to record the outputs into; empty records nothing.")
+    overwrite: bool = _option(False, "Replace the output where it exists.")
     rate: float = _option(
         0.0,
         "Speed of sending, times the bag's own; 0 is as fast as the graph is ready (with realtime: 1).",

@@ -34,7 +34,8 @@ def write_synthetic_bag(path: Path, sequence: SyntheticSequence, *, overwrite: b
         overwrite: replace an existing file.
 
     Raises:
-        BagError: wrong suffix, the file exists and ``overwrite`` is false, or it cannot be made.
+        BagError: wrong suffix.
+        OutputError: the file exists and ``overwrite`` is false, or it cannot be written.
     """
     types = RosbagsTypes()
     with BagWriter(path, overwrite=overwrite) as bag:
