@@ -37,7 +37,7 @@ def test_one_parameter_and_a_field_of_another_name() -> None:
 
 
 def test_settings_that_are_not_parameters_or_are_named_already_are_not_appended() -> None:
-    error = StereoDepthError("P2 = 400 is not above P1 = 500", remedy="raise P2", settings=("P2", "P1", "overwrite"))
+    error = StereoDepthError("P2 = 400 is not above P1 = 500", remedy="raise P2", settings=("P2", "P1", "json_file"))
     assert error_text(error) == "P2 = 400 is not above P1 = 500: raise P2"
     assert error_text(StereoDepthError("broken")) == "broken"
 

@@ -33,7 +33,7 @@ from stereo_depth_ros.replay.options import ReplayOptions
 __all__ = ["check_recording", "main", "play", "replay"]
 
 _DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes publish their timings once a second
-# Parameters by what errors call them
+# Parameters by the names that errors use
 _PARAMETERS = {
     **{info.name: info.name for config in (ReplayOptions, PairingConfig) for info in parameter_infos(config)},
     "left": "left_topic",
@@ -42,7 +42,7 @@ _PARAMETERS = {
 
 
 def _nothing(*_: Any) -> None:
-    """No progress is shown, nothing is checked."""
+    """No progress, no check."""
 
 
 def replay(
@@ -130,9 +130,15 @@ def play(
 def _check_played(options: ReplayOptions, player: Player, errors_reported: str) -> None:
     """Refuse to keep a recording without outputs."""
     if not player.sent:
-        raise BagError(f"{options.bag} has no pair from {options.start_seconds:g} s on: begin earlier, or read more")
+        raise BagError(
+            f"no pair after {options.start_seconds:g} s",
+            subject=options.bag,
+            remedy="begin earlier, or play more",
+            settings=("start_seconds", "duration_seconds"),
+        )
     if options.output_path is not None and not any(stats.received for stats in player.stats.values()):
-        raise GraphError(f"no output for all {player.sent} pairs: {errors_reported or 'the nodes complain of nothing'}")
+        reason = errors_reported or "the nodes report no error"
+        raise GraphError(f"no output for any of {player.sent} pairs", value=0, limit=player.sent, remedy=reason)
 
 
 def main() -> int:
