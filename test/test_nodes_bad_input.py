@@ -359,7 +359,7 @@ STAGE_CASES = (
         DepthNode,
         ("depth/image_rect", Image),
         set_field("disparity", "t", 0.24),
-        r"/disparity: f = 134\.375 px, T = 0\.24 m, the camera infos state .* 0\.120054 m \(limit 0\.1 %\): subscribe",
+        r"/disparity: f = 134\.375 px, T = 0\.24 m, the camera infos say .* 0\.120054 m \(limit 0\.1 %\): subscribe",
         ("disparity",),
     ),
     StageCase(
