@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from stereo_depth_ros.calibration.board_options import create_board
 from stereo_depth_ros.calibration.board_views import BoardView
-from stereo_depth_ros.calibration.boards import create_board
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.misalignment import Misalignment, MisalignmentEstimator, corrected_rig
 from stereo_depth_ros.calibration.row_error import match_rows

@@ -142,7 +142,7 @@ def test_images_that_cannot_be_decoded_are_reported(camera: StereoCamera) -> Non
     assert [finding.check for finding in setup.findings] == ["images of /right/image_raw"], (
         "the first error stands for all"
     )
-    assert "encoding = 'magic' is not read" in setup.findings[0].value
+    assert "encoding = 'magic' is not supported" in setup.findings[0].value
 
 
 def test_the_command_listens_and_names_the_published_images(

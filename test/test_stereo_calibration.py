@@ -14,8 +14,9 @@ import numpy.typing as npt
 import pytest
 from rendered_boards import FISHEYE, RIGS, SIZE, exact_views
 
+from stereo_depth_ros.calibration.board_options import create_board
 from stereo_depth_ros.calibration.board_views import BoardView
-from stereo_depth_ros.calibration.boards import Corners, create_board
+from stereo_depth_ros.calibration.boards import Corners
 from stereo_depth_ros.calibration.bundle_adjustment import Estimate
 from stereo_depth_ros.calibration.calibration_files import save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration

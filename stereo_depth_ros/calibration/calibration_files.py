@@ -43,10 +43,10 @@ def save_calibration(calibration: StereoCalibration, folder: Path, *, overwrite:
 
 
 def write_camera(path: Path, camera: CameraModel, camera_name: str, *, overwrite: bool = False) -> None:
-    """Writes a camera file in the format of ``camera_calibration``.
+    """Writes a camera file in the format of ``camera_calibration``, every number with all its digits.
 
     Raises:
-        OutputError: the file is there and ``overwrite`` is false, or it cannot be written.
+        OutputError: the file exists and ``overwrite`` is false, or it cannot be written.
     """
     write_file(path, camera_to_yaml(camera, camera_name), overwrite=overwrite)
 

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from stereo_depth_ros.calibration.boards import BOARDS, Board, create_board, parse_board_size
+from stereo_depth_ros.calibration.board_options import BOARDS, create_board, parse_board_size
+from stereo_depth_ros.calibration.boards import Board
 from stereo_depth_ros.calibration.calibration_files import calibration_files, save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS

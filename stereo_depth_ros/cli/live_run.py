@@ -28,7 +28,7 @@ def run_live(
     Kernels are compiled here, once, so that the nodes read them from disk.
     """
     require_ros()
-    from stereo_depth_ros.nodes.replay.live import replay_through_graph
+    from stereo_depth_ros.nodes.live_replay import replay_through_graph
 
     config = pipeline_config({**(read_params_file(params_file) if params_file else {}), **values})
     prepare_kernels(config.matching)

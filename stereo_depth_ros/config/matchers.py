@@ -23,7 +23,7 @@ class MatcherInfo:
     """Description of a matcher, available before its module is imported.
 
     Attributes:
-        name: for ``create_matcher``, ``--matcher`` and tables.
+        name: of the matcher, for ``create_matcher``, options and tables.
         location: module below ``stereo_depth_ros.matching`` and class.
         sentence: description.
         parameters: public names of the parameters that have an effect on it.

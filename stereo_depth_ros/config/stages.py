@@ -159,7 +159,7 @@ class CalibrationConfig(Checked):
     calibration_folder: str = parameter(
         "calibration", "Folder in which ~/save writes left.yaml, right.yaml and the report."
     )
-    overwrite: bool = parameter(False, "~/save replaces the files that are there.")
+    overwrite: bool = parameter(False, "Whether ~/save replaces existing files.")
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class StereoDepthError(Exception):
         return ": ".join(part for part in (self.subject, self.problem, self.remedy) if part)
 
     def about(self: ErrorT, subject: object, remedy: str | None = None) -> ErrorT:
-        """The same error with ``subject`` put before its own, and with another remedy if one is given."""
+        """The same error with ``subject`` prepended, and with another remedy if one is given."""
         return type(self)(
             self.problem,
             subject=f"{subject}: {self.subject}" if self.subject else str(subject),

@@ -23,7 +23,7 @@ class PairingLimits(Protocol):
 
     @property
     def tolerance_ns(self) -> int | None:
-        """Largest stamp difference within a pair, nanoseconds; None is no limit."""
+        """Largest stamp difference within a pair, nanoseconds; None means no limit."""
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,7 @@ class MatchResult:
         disparity_px: float32 (H, W), x_left - x_right in pixels, NaN where invalid.
         reasons: uint8 (H, W), bits of :class:`Reason`, 0 exactly where ``disparity_px`` is finite.
         step_px: resolution of the disparities, px (1/16 for OpenCV's matchers).
-        support_px: width and height, odd, px, of the neighborhood that the matching cost of a pixel depends on.
+        support_px: width and height, odd, px, of the window that a matching cost is computed from.
         confidence_source: the confidence, or a function that computes it on demand; None if the method has none.
     """
 

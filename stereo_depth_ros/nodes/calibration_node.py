@@ -17,7 +17,7 @@ from sensor_msgs.msg import Image
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
-from stereo_depth_ros.calibration.boards import create_board, parse_board_size
+from stereo_depth_ros.calibration.board_options import create_board, parse_board_size
 from stereo_depth_ros.calibration.calibration_files import calibration_files, save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.live_calibration import LiveCalibration, Look

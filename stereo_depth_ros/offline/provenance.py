@@ -15,7 +15,7 @@ __all__ = ["provenance"]
 
 
 def provenance(config: PipelineConfig, rig: StereoRig | None = None, **values: Any) -> dict[str, str]:
-    """Version, every parameter by its outside name, the rectified geometry of the rig, and ``values``, all as text."""
+    """Version, every parameter by its public name, the rectified geometry of the rig, and ``values``, all as text."""
     record = {"version": __version__, **{name: str(value) for name, value in values.items()}}
     for stage in dataclasses.fields(config):
         stage_config = getattr(config, stage.name)
