@@ -8,6 +8,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagReader
@@ -63,6 +64,21 @@ def later(path: Path, target: Path, seconds: int) -> Path:
             log_time_ns = message.log_time_ns + seconds * 10**9
             writer.write_raw(message.topic, message.msgtype, with_stamp(message.data, stamp_ns), log_time_ns)
     return target
+
+
+def compressed_folder(path: Path, folder: Path, plugin: StoragePlugin) -> Path:
+    """The same bag as rosbag2 records it with compression of whole files: NAME.mcap.zstd or NAME.db3.zstd."""
+    writer = Writer(folder, version=9, storage_plugin=plugin)
+    writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+    typestore = RosbagsTypes().typestore
+    with BagReader(path) as reader, writer:
+        connections = {
+            topic: writer.add_connection(topic, info.msgtype, typestore=typestore)
+            for topic, info in reader.topics.items()
+        }
+        for message in reader.messages():
+            writer.write(connections[message.topic], message.log_time_ns, message.data)
+    return folder
 
 
 def cut(path: Path, target: Path, share: float) -> Path:

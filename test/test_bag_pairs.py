@@ -18,7 +18,7 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import BagError, ConfigError, MessageError, TopicError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.camera_info import camera_info_message
-from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
 from stereo_depth_ros.messages.image import image_message
 
 EXACT = PairingConfig()
@@ -99,6 +99,7 @@ def test_stamp_of_both_byte_orders() -> None:
     big = b"\x00\x00\x00\x00" + struct.pack(">iI", 7, 500_000_001) + b"rest"
     assert cdr_stamp_ns(little) == cdr_stamp_ns(big) == 7_500_000_001
     assert with_stamp(big, 3_000_000_002) == b"\x00\x00\x00\x00" + struct.pack(">iI", 3, 2) + b"rest"
+    assert without_stamp(big) == without_stamp(little) == b"rest"
     with pytest.raises(MessageError, match="11 bytes, a header stamp ends at byte 12"):
         cdr_stamp_ns(little[:11])
 

@@ -23,7 +23,7 @@ SIZE = (96, 60)
 RIG = StereoRig.from_rectified(100.0, 101.0, 50.0, 47.0, 31.0, 0.2, SIZE)
 
 
-def test_picture_shows_depth_beside_the_left_image_of_the_same_stamp(tmp_path: Path) -> None:
+def test_preview_shows_depth_beside_the_left_image_of_the_same_stamp(tmp_path: Path) -> None:
     types, random = RosbagsTypes(), np.random.default_rng(1)
     depth_m = random.uniform(2, 6, SIZE[::-1]).astype(np.float32)
     disparity_px = (RIG.f_px * RIG.baseline_m / depth_m + RIG.doffs_px).astype(np.float32)
@@ -48,5 +48,5 @@ def test_bag_without_outputs_is_refused(tmp_path: Path) -> None:
     types = RosbagsTypes()
     with BagWriter(tmp_path / "in.mcap") as bag:
         bag.write("/left/image_rect_color", image_message(types, np.zeros((4, 6), np.uint8), "mono8", 1, "l"), 1)
-    with pytest.raises(BagError, match=r"in\.mcap has no /left/image_rect_color with a /disparity of the same stamp"):
+    with pytest.raises(BagError, match=r"in\.mcap: no /left/image_rect_color with a /disparity of the same stamp"):
         save_bag_preview(tmp_path / "in.mcap", tmp_path / "p.png")

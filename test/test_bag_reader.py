@@ -18,6 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagReader, TopicInfo
+from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.core.errors import BagError, MessageError
 from stereo_depth_ros.messages.image import image_message
@@ -305,6 +306,22 @@ def test_a_compressed_file_without_metadata(tmp_path: Path) -> None:
     whole = write_mcap(tmp_path / "bag.mcap").read_bytes()
     (tmp_path / "bag.mcap.zstd").write_bytes(zstandard.compress(whole))
     assert read(tmp_path / "bag.mcap.zstd") == IN_ORDER
+
+
+def test_bags_are_known_by_their_files(tmp_path: Path) -> None:
+    assert not is_bag(tmp_path / "nowhere.mcap")
+    for number, name in enumerate(("x.mcap", "x.db3", "x.mcap.zstd", "x.db3.zstd")):
+        folder = tmp_path / f"bag{number}"
+        folder.mkdir()
+        assert not is_bag(folder)
+        (folder / name).touch()
+        assert is_bag(folder) and is_bag(folder / name)
+    others = tmp_path / "others"
+    others.mkdir()
+    for name in ("x.png", "x.zstd", "x.bag", "x.mcap.png"):
+        (others / name).touch()
+        assert is_bag(others / name) == (name == "x.bag")
+    assert not is_bag(others), "a ROS 1 bag is one file"
 
 
 @pytest.mark.real_data

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 import pytest
 from evaluation_scenes import pair, write, write_kitti, write_scene
-from stereo_bags import write_truth_bag
+from rosbags.rosbag2 import StoragePlugin
+from stereo_bags import compressed_folder, write_truth_bag
 
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.types import F32, U8, MatchResult
@@ -130,6 +131,16 @@ def test_bags_and_folders_together_and_equal_names_are_numbered(run: Run, tmp_pa
     assert all(row["bad_2"] < 8 for row in rows)
     assert [row["d1_fg"] is not None for row in rows] == [False] * 4 + [True]
     assert rows[-1]["occlusion"] == "mask"
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_folder_of_a_compressed_bag(run: Run, tmp_path: Path, plugin: StoragePlugin) -> None:
+    write_truth_bag(tmp_path / "room.mcap", 1)
+    folder = compressed_folder(tmp_path / "room.mcap", tmp_path / "bag", plugin)
+    assert [path.suffix for path in folder.iterdir() if path.suffix != ".yaml"] == [".zstd"]
+    code, _, err = run(folder, "--matcher", "bm", *SMALL, "--json", tmp_path / "r.json")
+    assert code == 0, err
+    assert [row["scene"] for row in rows_of(tmp_path / "r.json")] == ["bag/0000"]
 
 
 def test_invalid_scenes_are_skipped_with_a_warning(run: Run, tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def graph(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
 
 def write_with_smaller_images(path: Path) -> None:
-    """Three pairs whose images are two rows less high than their camera infos say."""
+    """Three pairs whose images have two rows less than their camera infos."""
     types, made = RosbagsTypes(), sequence(3)
     with BagWriter(path) as writer:
         for frame in made:
@@ -129,7 +129,7 @@ def test_rounds_of_a_loop_are_stamped_later_and_equal_otherwise(
     assert pixels[:FRAMES] == pixels[FRAMES : 2 * FRAMES] == pixels[2 * FRAMES :]
 
 
-def test_cut_bag_is_played_to_the_cut_and_said_so(graph: GraphProcesses, bag: Path, tmp_path: Path) -> None:
+def test_cut_bag_is_played_to_the_cut_with_a_warning(graph: GraphProcesses, bag: Path, tmp_path: Path) -> None:
     from stereo_depth_ros.nodes.replay_node import replay
 
     path = cut(later(bag, tmp_path / "whole.mcap", seconds=20), tmp_path / "cut.mcap", 0.6)
@@ -186,7 +186,7 @@ def test_separate_nodes_give_the_bytes_of_the_offline_engine_from_a_compressed_b
     assert_equal_messages(tmp_path / "live.mcap", tmp_path / "offline.mcap", SAME_BYTES)
 
 
-def test_without_nodes_the_topics_that_nobody_serves_are_named(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_topics_without_subscriber_or_publisher_are_named(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from stereo_depth_ros.nodes.replay import player
     from stereo_depth_ros.nodes.replay_node import replay
 
@@ -229,7 +229,7 @@ def test_node_that_ends_is_named_with_the_end_of_its_log(bag: Path, monkeypatch:
         replay_through_graph(ReplayOptions(bag=str(bag)), "fused", {"disparity_rang": 32}, CONFIG, lambda *_: None)
 
 
-def test_pairs_that_nothing_comes_of_are_lost_with_the_reason_of_the_node(
+def test_pairs_without_outputs_are_lost_with_the_error_of_the_node(
     graph: GraphProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from stereo_depth_ros.nodes.replay import player

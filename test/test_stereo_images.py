@@ -9,7 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from stereo_bags import HEIGHT, WIDTH, sequence, write_odd_bag
+from rosbags.rosbag2 import StoragePlugin
+from stereo_bags import HEIGHT, WIDTH, compressed_folder, sequence, write_odd_bag
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.writer import BagWriter
@@ -119,6 +120,16 @@ def test_bag(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pairs[0].left, next(iter(sequence(1))).pair.left.pixels)
     assert pairs[0].name.endswith(" s")
     assert any("1 images have no partner within 5 ms" in text for text in images.warnings)
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_folder_of_a_compressed_bag(tmp_path: Path, plugin: StoragePlugin) -> None:
+    write_odd_bag(tmp_path / "b.mcap", 2)
+    folder = compressed_folder(tmp_path / "b.mcap", tmp_path / "bag", plugin)
+    assert [path.suffix for path in folder.iterdir() if path.suffix != ".yaml"] == [".zstd"]
+    images = open_stereo_images(folder)
+    assert images.dense
+    np.testing.assert_array_equal([pair.left for pair in images], [frame.pair.left.pixels for frame in sequence(2)])
 
 
 def test_rectified_bags_are_refused(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ if sys.version_info >= (3, 14):  # the one that rosbags uses
 else:
     from backports.zstd import ZstdError
 
-__all__ = ["UNREADABLE", "BagSource", "bag_files", "open_sources"]
+__all__ = ["UNREADABLE", "BagSource", "bag_files", "is_bag", "open_sources"]
 
 # what rosbags and zstandard raise at a file that is cut, damaged, or of a kind they do not know
 UNREADABLE = (
@@ -39,6 +39,7 @@ UNREADABLE = (
     AssertionError, KeyError, RuntimeError, TypeError, ValueError, struct.error,
 )  # fmt: skip
 
+_ROSBAG2_KINDS = (".mcap", ".db3")
 _KINDS = "an .mcap, .db3 or .bag file or a rosbag2 folder"
 
 
@@ -54,6 +55,16 @@ class BagSource(Protocol):
     def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[tuple[str, int, bytes]]: ...
 
     def close(self) -> None: ...
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag by its name: an .mcap, .db3 or .bag file, or a folder with .mcap or .db3 files.
+
+    The files may be compressed as a whole, which adds ``.zstd``. What is in them is not read.
+    """
+    if path.is_dir():
+        return any(_kind(file) in _ROSBAG2_KINDS for file in path.iterdir())
+    return path.is_file() and _kind(path) in (*_ROSBAG2_KINDS, ".bag")
 
 
 def open_sources(path: Path, types: RosbagsTypes, stack: ExitStack) -> list[BagSource]:

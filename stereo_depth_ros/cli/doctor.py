@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -28,10 +28,10 @@ __all__ = ["app"]
 
 app = new_app()
 
-_EXIT_ERROR, _EXIT_LEFT_OUT = 1, 3
+_EXIT_ERROR, _EXIT_SKIPPED = 1, 3
 _SHOWN = {
     Level.OK: "[green]ok",
-    Level.LEFT_OUT: "[yellow]left out",
+    Level.SKIPPED: "[yellow]skipped",
     Level.WARNING: "[yellow]warning",
     Level.ERROR: "[red]error",
 }
@@ -86,8 +86,8 @@ def doctor(
     show(_tables(diagnosis), diagnosis.to_json(), json_file, overwrite=overwrite)
     if diagnosis.level is Level.ERROR:
         raise typer.Exit(_EXIT_ERROR)
-    if diagnosis.left_out:
-        raise typer.Exit(_EXIT_LEFT_OUT)
+    if diagnosis.skipped:
+        raise typer.Exit(_EXIT_SKIPPED)
 
 
 def _listen(
@@ -111,7 +111,8 @@ def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
     remedies: dict[str, list[str]] = {}
     for finding in sorted(diagnosis.findings, key=lambda finding: -finding.level):
         if finding.level is not Level.OK and finding.remedy:
-            remedies.setdefault(finding.remedy, []).append(finding.check)
+            text = f"{finding.remedy} ({_options(finding.settings)})" if finding.settings else finding.remedy
+            remedies.setdefault(text, []).append(finding.check)
     if remedies:
         table = plain_table("check", "remedy", title="what to do")
         for remedy, checks in remedies.items():
@@ -120,8 +121,14 @@ def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
     facts = facts_table()
     setup = diagnosis.setup
     facts.add_row("images", f"{setup.left.image_topic}, {setup.right.image_topic}")
-    facts.add_row("looked at", f"{len(setup.pairs)} pairs of {setup.source}")
+    facts.add_row("examined", f"{len(setup.pairs)} pairs of {setup.source}")
     if diagnosis.search:
-        facts.add_row("search", diagnosis.search)
+        facts.add_row("search", _options(diagnosis.search))
     facts.add_row("verdict", escape(diagnosis.verdict))
     yield facts
+
+
+def _options(settings: Mapping[str, bool | int | float]) -> str:
+    """Parameters as options of the other commands."""
+    values = {name: str(value).lower() if isinstance(value, bool) else f"{value:g}" for name, value in settings.items()}
+    return " ".join(f"--param {name}:={value}" for name, value in values.items())

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.cli.errors import command_options, error_text
 from stereo_depth_ros.cli.evaluate_tables import evaluate_tables
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
@@ -36,8 +37,6 @@ from stereo_depth_ros.plots.error import error_plot
 __all__ = ["app"]
 
 app = new_app()
-
-_BAG_SUFFIXES = (".mcap", ".db3")
 
 
 @app.command()
@@ -102,8 +101,7 @@ def evaluate(
 def _scenes(place: Path) -> SceneSet:
     if not place.exists():
         raise BagError("does not exist", subject=str(place), remedy="name a folder of a dataset, or a bag")
-    is_bag = place.is_file() or any(path.suffix in _BAG_SUFFIXES for path in place.iterdir())
-    return BagScenes(place) if is_bag else find_scenes(place)
+    return BagScenes(place) if place.is_file() or is_bag(place) else find_scenes(place)
 
 
 def _files(scenes: SceneSet) -> list[Path]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
-from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.sources import bag_files, is_bag
 from stereo_depth_ros.bags.topics import find_stereo_topics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import BagError, TopicError
@@ -24,7 +24,6 @@ from stereo_depth_ros.messages.image import decode
 
 __all__ = ["BagImages", "FolderImages", "ImagePair", "StereoImages", "open_stereo_images"]
 
-_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 _TOLERANCE_S = 0.005  # cameras that are exposed by one trigger, stamped by two clocks
 
 
@@ -69,8 +68,9 @@ def open_stereo_images(place: Path, left: str | None = None, right: str | None =
     """
     if not place.exists():
         raise BagError(f"{place} does not exist: name a folder of images, or a bag")
-    is_bag = place.is_file() or any(path.suffix in _BAG_SUFFIXES for path in place.iterdir())
-    return BagImages(place, left, right) if is_bag else FolderImages(place, left, right)
+    if place.is_file() or is_bag(place):
+        return BagImages(place, left, right)
+    return FolderImages(place, left, right)
 
 
 class FolderImages:

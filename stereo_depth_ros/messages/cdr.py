@@ -8,7 +8,7 @@ import struct
 
 from stereo_depth_ros.core.errors import MessageError
 
-__all__ = ["cdr_stamp_ns", "stamp_text", "with_stamp"]
+__all__ = ["cdr_stamp_ns", "stamp_text", "with_stamp", "without_stamp"]
 
 _NS = 1_000_000_000
 _HEADER_BYTES, _STAMP_END = 4, 12  # encapsulation, then sec and nanosec of the leading header
@@ -32,6 +32,11 @@ def with_stamp(data: bytes, stamp_ns: int) -> bytes:
     """
     stamp = _stamp_format(data).pack(*divmod(stamp_ns, _NS))
     return b"".join((data[:_HEADER_BYTES], stamp, memoryview(data)[_STAMP_END:]))
+
+
+def without_stamp(data: bytes) -> bytes:
+    """The CDR bytes after the header stamp: equal for camera infos that differ in their stamps only."""
+    return data[_STAMP_END:]
 
 
 def stamp_text(stamp_ns: int) -> str:

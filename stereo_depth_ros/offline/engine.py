@@ -19,7 +19,7 @@ from stereo_depth_ros.core.errors import BagError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.evaluation.bag_score import score_disparity
-from stereo_depth_ros.messages.cdr import stamp_text
+from stereo_depth_ros.messages.cdr import stamp_text, without_stamp
 from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import ReplayResult, percentile
@@ -29,7 +29,6 @@ from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
 __all__ = ["process_bag"]
 
 _INFO_TYPE = "sensor_msgs/msg/CameraInfo"
-_AFTER_STAMP = 12  # of CDR bytes: encapsulation and stamp differ between equal calibrations
 
 
 def process_bag(
@@ -125,7 +124,7 @@ class _Engine:
             yield f"/{topic}", message
 
     def _pipeline_of(self, pair: SerializedPair) -> StereoPipeline:
-        infos = (pair.left_info[_AFTER_STAMP:], pair.right_info[_AFTER_STAMP:])
+        infos = (without_stamp(pair.left_info), without_stamp(pair.right_info))
         if self._pipeline is None or infos != self._infos:
             messages = [self._types.deserialize(info, _INFO_TYPE) for info in (pair.left_info, pair.right_info)]
             self.rig = StereoRig.from_infos(*messages)
