@@ -182,6 +182,17 @@ def test_a_damaged_chunk_ends_a_bag_without_index(tmp_path: Path) -> None:
         assert [m.log_time_ns for m in reader.messages()] == [20]
 
 
+def test_a_damaged_length_in_a_chunk_ends_a_bag_without_index(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", chunk_size=1)
+    data = bytearray(path.read_bytes())
+    second = data.index(b"\x28\xb5\x2f\xfd", data.index(b"\x28\xb5\x2f\xfd") + 1)
+    data[second - 8 : second] = b"\xff" * 8  # the length of the compressed data is in front of them
+    path.write_bytes(data[:-30])
+    with BagReader(path) as reader:
+        assert reader.truncated
+        assert [m.log_time_ns for m in reader.messages()] == [20]
+
+
 def test_a_damaged_chunk_of_an_indexed_bag_is_an_error(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "bag.mcap")
     data = bytearray(path.read_bytes())

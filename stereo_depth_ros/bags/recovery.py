@@ -9,6 +9,7 @@ import io
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -16,9 +17,10 @@ from typing import BinaryIO, NamedTuple
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import StreamReader
 
 from stereo_depth_ros.core.errors import BagError
 
@@ -26,14 +28,17 @@ __all__ = ["RecoveredMcap"]
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEADER = struct.Struct("<BQ")
-_DAMAGE = (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError, RuntimeError)  # lz4 raises RuntimeError
-_CHUNK_HEADER = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
+# what mcap raises at damaged records, zstandard and lz4 (RuntimeError) at damaged chunks
+_DAMAGE = (McapError, struct.error, UnicodeDecodeError, OverflowError, zstandard.ZstdError, RuntimeError)
+_READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 
 class _Record(NamedTuple):
+    """A top-level record; ``data`` begins with its opcode and length."""
+
     opcode: int
     offset: int
-    content: bytes
+    data: bytes
     complete: bool
 
 
@@ -105,16 +110,13 @@ class RecoveredMcap:
     def _scan(self) -> None:
         if self._file.read(len(_MAGIC)) != _MAGIC:
             raise BagError(f"{self.path} is not an MCAP file: it does not begin with the MCAP magic")
-        for record in _records(self._file):
-            if record.opcode in (Opcode.DATA_END, Opcode.FOOTER) and record.complete:
-                self.cut = False
-                return
-            try:
-                messages = list(self._read(record))
-            except _DAMAGE:
-                return  # what follows a damaged record cannot be trusted: the same as a cut in front of it
-            if messages:
-                self._index(record.offset, messages)
+        with suppress(*_DAMAGE):  # what follows a damaged record cannot be trusted: the same as a cut in front of it
+            for record in _top_level_records(self._file):
+                if record.opcode in (Opcode.DATA_END, Opcode.FOOTER) and record.complete:
+                    self.cut = False
+                    return
+                if messages := list(self._read(record)):
+                    self._index(record.offset, messages)
 
     def _index(self, offset: int, messages: list[Message]) -> None:
         self._counts.update(message.channel_id for message in messages)
@@ -125,52 +127,50 @@ class RecoveredMcap:
         self._blocks.append(_Block(offset, first))
 
     def _read(self, record: _Record) -> Iterator[Message]:
-        """The messages of a top-level record; learns schemas and channels on the way."""
-        inner = iter([record]) if record.opcode != Opcode.CHUNK else _records(io.BytesIO(_unpack(record.content)))
-        for item in inner:
-            if not item.complete:
-                return
-            stream = ReadDataStream(io.BytesIO(item.content))
-            if item.opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self._schemas[schema.id] = schema
-            elif item.opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream)
-                self._channels[channel.id] = channel
-            elif item.opcode == Opcode.MESSAGE:
-                yield Message.read(stream, len(item.content))
+        """The messages of a top-level record; stores the schemas and channels in it."""
+        if record.opcode == Opcode.CHUNK:
+            data = _unpack(Chunk.read(ReadDataStream(io.BytesIO(record.data[_RECORD_HEADER.size :]))))
+        else:
+            data = record.data if record.opcode in _READ else b""
+        with suppress(EndOfFile, struct.error):  # at the end of the data, or where it is cut
+            for item in StreamReader(io.BytesIO(data), skip_magic=True).records:
+                if isinstance(item, Schema):
+                    self._schemas[item.id] = item
+                elif isinstance(item, Channel):
+                    self._channels[item.id] = item
+                elif isinstance(item, Message):
+                    yield item
 
     def _block_messages(self, block: _Block) -> Iterator[Message]:
         self._file.seek(block.offset)
-        return self._read(next(_records(self._file)))
+        return self._read(next(_top_level_records(self._file)))
 
 
-def _records(stream: BinaryIO) -> Iterator[_Record]:
-    """Records until the stream ends; the last one may be incomplete."""
-    offset = stream.tell()
-    size = stream.seek(0, io.SEEK_END)
+def _top_level_records(file: BinaryIO) -> Iterator[_Record]:
+    """Records until the file ends; the last one may be incomplete.
+
+    mcap's StreamReader cannot do this: it gives whole records only, and so loses the messages at the beginning of a cut
+    chunk; it parses every record, and so ends at a damaged index; and it allocates whatever a damaged length states.
+    """
+    offset = file.tell()
+    size = file.seek(0, io.SEEK_END)
     while offset + _RECORD_HEADER.size <= size:
-        stream.seek(offset)
-        opcode, length = _RECORD_HEADER.unpack(stream.read(_RECORD_HEADER.size))
+        file.seek(offset)
+        header = file.read(_RECORD_HEADER.size)
+        opcode, length = _RECORD_HEADER.unpack(header)
         if opcode == 0:  # never valid: zeros that a file system left behind after a power cut
             return
-        offset += _RECORD_HEADER.size
-        content = stream.read(min(length, size - offset))
-        yield _Record(opcode, offset - _RECORD_HEADER.size, content, len(content) == length)
-        offset += length
+        end = offset + _RECORD_HEADER.size + length
+        yield _Record(opcode, offset, header + file.read(min(length, size)), end <= size)
+        offset = end
 
 
-def _unpack(content: bytes) -> bytes:
-    """The records of a chunk; a cut chunk gives those at its beginning."""
-    if len(content) < _CHUNK_HEADER.size:
-        return b""
-    name_end = _CHUNK_HEADER.size + _CHUNK_HEADER.unpack_from(content)[4]
-    compression = content[_CHUNK_HEADER.size : name_end].decode()
-    data = content[name_end + 8 :]
-    if compression == "zstd":
-        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-    if compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
-    if compression:
-        raise BagError(f"chunk compression {compression!r} is not known: known are zstd, lz4 and none")
-    return data
+def _unpack(chunk: Chunk) -> bytes:
+    """The records of a chunk; mcap unpacks whole chunks only, a cut one gives those at its beginning."""
+    if chunk.compression == "zstd":
+        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+    if chunk.compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
+    if chunk.compression:
+        raise BagError(f"chunk compression {chunk.compression!r} is not known: known are zstd, lz4 and none")
+    return chunk.data
