@@ -120,9 +120,8 @@ class _Inspection:
         self.problems: list[str] = []
 
     def find_topics(self, left: str | None, right: str | None) -> StereoTopics | None:
-        types = {name: info.msgtype for name, info in self._reader.topics.items()}
         try:
-            return find_stereo_topics(types, left, right)
+            return find_stereo_topics(self._reader.msgtypes, left, right)
         except TopicError as error:
             self.problems.append(str(error))
             return None

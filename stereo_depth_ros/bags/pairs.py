@@ -11,7 +11,7 @@ from types import TracebackType
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
-from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
+from stereo_depth_ros.bags.topics import StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
@@ -146,16 +146,12 @@ class BagPairs:
         self.close()
 
     def _find_topics(self) -> tuple[StereoTopics, tuple[str, str]]:
-        types = {name: info.msgtype for name, info in self._reader.topics.items()}
-        try:
-            topics = find_stereo_topics(types, self._selection.left, self._selection.right)
-        except TopicError as error:
-            raise TopicError(f"{self._selection.path}: {error}") from error
+        topics = self._reader.stereo_topics(self._selection.left, self._selection.right)
         if topics.left_info is None or topics.right_info is None:
             missing = topics.left_image if topics.left_info is None else topics.right_image
             raise TopicError(
                 f"{self._selection.path}: no CameraInfo belongs to {missing}, topics of the bag are "
-                f"{', '.join(types)}: record the camera infos too"
+                f"{', '.join(self._reader.topics)}: record the camera infos too"
             )
         return topics, (topics.left_info, topics.right_info)
 

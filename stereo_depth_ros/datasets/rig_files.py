@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stereo_depth_ros.bags.reader import BagReader
-from stereo_depth_ros.bags.topics import find_stereo_topics
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import camera_from_info
-from stereo_depth_ros.core.errors import BagError, CalibrationError, TopicError
+from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 
 __all__ = ["read_rig"]
@@ -64,11 +63,7 @@ def _with_partner(path: Path) -> tuple[Path, Path]:
 
 def _of_bag(path: Path, left: str | None, right: str | None) -> StereoRig:
     with BagReader(path) as reader:
-        types = {name: info.msgtype for name, info in reader.topics.items()}
-        try:
-            topics = find_stereo_topics(types, left, right)
-        except TopicError as error:
-            raise TopicError(f"{path}: {error}") from error
+        topics = reader.stereo_topics(left, right)
         left_camera = _camera(reader, topics.left_image, topics.left_info, topics.rectified)
         right_camera = _camera(reader, topics.right_image, topics.right_info, topics.rectified)
     return StereoRig(left_camera, right_camera, (topics.left_info or "", topics.right_info or ""))

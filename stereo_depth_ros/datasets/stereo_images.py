@@ -11,7 +11,6 @@ from typing import Protocol
 
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.sources import is_bag
-from stereo_depth_ros.bags.topics import find_stereo_topics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import BagError, TopicError
 from stereo_depth_ros.core.images import to_gray
@@ -124,12 +123,8 @@ class BagImages:
     def __init__(self, path: Path, left: str | None = None, right: str | None = None) -> None:
         self._path = path
         with BagReader(path) as reader:
-            types = {name: info.msgtype for name, info in reader.topics.items()}
             self.warnings = [reader.warning] if reader.warning else []
-            try:
-                self._topics = find_stereo_topics(types, left, right)
-            except TopicError as error:
-                raise TopicError(f"{path}: {error}") from error
+            self._topics = reader.stereo_topics(left, right)
             self._count = reader.topics[self._topics.left_image].count
         if self._topics.rectified:
             raise TopicError(

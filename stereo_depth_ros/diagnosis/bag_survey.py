@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
-from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
-from stereo_depth_ros.core.errors import MessageError, TopicError
+from stereo_depth_ros.bags.topics import StereoTopics
+from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.types import Frame, StereoPair
 from stereo_depth_ros.diagnosis.checks.streams import NEAR
@@ -41,12 +41,7 @@ def survey_bag(
         TopicError: no stereo pair in it.
     """
     with BagReader(path) as reader:
-        types = {name: info.msgtype for name, info in reader.topics.items()}
-        try:
-            topics = find_stereo_topics(types, left, right)
-        except TopicError as error:
-            raise TopicError(f"{path}: {error}") from error
-        return _BagSurvey(reader, topics).run(progress)
+        return _BagSurvey(reader, reader.stereo_topics(left, right)).run(progress)
 
 
 class _BagSurvey:
