@@ -11,13 +11,16 @@ from types import TracebackType
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
-from stereo_depth_ros.bags.topics import StereoTopics
+from stereo_depth_ros.bags.topics import INFO_TYPE, StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp
+from stereo_depth_ros.messages.image import decode
 
 __all__ = ["BagPairs", "BagSelection", "SerializedPair"]
 
@@ -76,6 +79,31 @@ class SerializedPair:
             with_stamp(self.left_info, stamp_ns),
             with_stamp(self.right_info, right_stamp_ns),
         )
+
+    def images(self, types: RosbagsTypes, image_type: str) -> StereoPair:
+        """Both images, decoded.
+
+        Args:
+            types: reads the messages.
+            image_type: message type of the images, :attr:`StereoTopics.image_type`.
+
+        Raises:
+            MessageError: a message that is damaged, or whose encoding is not supported.
+        """
+        left, right = (types.deserialize(image, image_type) for image in (self.left, self.right))
+        return StereoPair(decode(left, "left image"), decode(right, "right image"))
+
+    def rig(self, types: RosbagsTypes) -> StereoRig:
+        """The rig of the two camera infos.
+
+        Args:
+            types: reads the messages.
+
+        Raises:
+            MessageError: a message that is damaged.
+            CalibrationError: camera infos that are not those of a rectified rig.
+        """
+        return StereoRig.from_infos(*(types.deserialize(info, INFO_TYPE) for info in (self.left_info, self.right_info)))
 
 
 class BagPairs:

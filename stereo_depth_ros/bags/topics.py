@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 from stereo_depth_ros.core.errors import TopicError
 
-__all__ = ["StereoTopics", "find_stereo_topics"]
+__all__ = ["INFO_TYPE", "StereoTopics", "find_stereo_topics"]
 
+INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
-_INFO = "sensor_msgs/msg/CameraInfo"
 _REMEDY = "name them with --left and --right"
 
 # words of a name: leftImage2 is left, Image, 2
@@ -39,6 +39,11 @@ class StereoTopics:
     right_info: str | None
     compressed: bool
     rectified: bool
+
+    @property
+    def image_type(self) -> str:
+        """Message type of both images."""
+        return _COMPRESSED if self.compressed else _RAW
 
 
 def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right: str | None = None) -> StereoTopics:
@@ -120,7 +125,7 @@ def _infos(left: str, right: str, topics: Mapping[str, str]) -> tuple[str | None
 
     The sibling of another image is that one's: a wrong calibration would give a plausible wrong depth.
     """
-    infos = [name for name, kind in topics.items() if kind == _INFO]
+    infos = [name for name, kind in topics.items() if kind == INFO_TYPE]
     siblings = _sibling(left, infos), _sibling(right, infos)
     if None not in siblings and siblings[0] != siblings[1]:
         return siblings

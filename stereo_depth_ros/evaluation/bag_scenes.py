@@ -15,18 +15,13 @@ from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import TopicError
-from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.disparity import matched_disparity
-from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["BagScenes"]
-
-_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 
 
 class BagScenes:
@@ -59,7 +54,6 @@ class BagScenes:
 
     def __iter__(self) -> Iterator[SceneSource]:
         with BagReader(self._path) as reader, BagPairs(BagSelection(self._path), PairingConfig()) as pairs:
-            image_type = f"sensor_msgs/msg/{'CompressedImage' if pairs.topics.compressed else 'Image'}"
             truths = ((cdr_stamp_ns(message.data), message.data) for message in reader.messages([TRUTH_TOPIC]))
             known = next(truths, None)
             for number, pair in enumerate(pairs.pairs()):
@@ -67,15 +61,13 @@ class BagScenes:
                     known = next(truths, None)
                 if known is not None and known[0] == pair.stamp_ns:
                     name = f"{self._path.resolve().stem}/{number:04d}"
-                    yield SceneSource(name, partial(self._load, pair, known[1], image_type))
+                    yield SceneSource(name, partial(self._load, pair, pairs.topics.image_type, known[1]))
 
-    def _load(self, pair: SerializedPair, truth: bytes, image_type: str) -> Scene:
-        types = self._types
-        rig = StereoRig.from_infos(*(types.deserialize(info, _INFO_TYPE) for info in (pair.left_info, pair.right_info)))
-        left, right = (decode(types.deserialize(image, image_type)) for image in (pair.left, pair.right))
+    def _load(self, pair: SerializedPair, image_type: str, truth: bytes) -> Scene:
+        rig = pair.rig(self._types)
         rectifier = Rectifier(rig)
-        rectified = rectifier.rectify(StereoPair(left, right))
-        truth_px = matched_disparity(types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
+        rectified = rectifier.rectify(pair.images(self._types, image_type))
+        truth_px = matched_disparity(self._types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
         if truth_px.shape == rectified.left.shape:  # other sizes are refused below
             truth_px[~rectifier.left_source] = np.nan
         return make_scene(rectified.left, rectified.right, truth_px, doffs_px=rig.doffs_px)

@@ -12,22 +12,19 @@ from typing import Any
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
+from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import BagError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.messages.cdr import stamp_text, without_stamp
-from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import ReplayResult, percentile
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
 
 __all__ = ["process_bag"]
-
-_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 
 
 def process_bag(
@@ -58,7 +55,7 @@ def process_bag(
             start, sent, left_out = time.perf_counter(), 0, 0
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
-                    timings_ms = engine.process(pair, pairs.topics.compressed, writer)
+                    timings_ms = engine.process(pair, pairs.topics.image_type, writer)
                 except StereoDepthError as error:
                     left_out += 1
                     refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} left out: {error}")
@@ -96,14 +93,12 @@ class _Engine:
         self._pipeline: StereoPipeline | None = None
         self.rig: StereoRig | None = None  # of the newest pair
 
-    def process(self, pair: SerializedPair, compressed: bool, writer: BagWriter) -> dict[str, float]:
+    def process(self, pair: SerializedPair, image_type: str, writer: BagWriter) -> dict[str, float]:
         """Compute a pair and write its messages; milliseconds a stage."""
-        image_type = "sensor_msgs/msg/CompressedImage" if compressed else "sensor_msgs/msg/Image"
-        left = decode(self._types.deserialize(pair.left, image_type), "left image")
-        right = decode(self._types.deserialize(pair.right, image_type), "right image")
-        result = self._pipeline_of(pair).process(StereoPair(left, right))
-        writer.write_raw("/left/camera_info", _INFO_TYPE, pair.left_info, pair.stamp_ns)
-        writer.write_raw("/right/camera_info", _INFO_TYPE, pair.right_info, pair.right_stamp_ns)
+        images = pair.images(self._types, image_type)
+        result = self._pipeline_of(pair).process(images)
+        writer.write_raw("/left/camera_info", INFO_TYPE, pair.left_info, pair.stamp_ns)
+        writer.write_raw("/right/camera_info", INFO_TYPE, pair.right_info, pair.right_stamp_ns)
         for topic, message in self._outputs(result):
             writer.write(topic, message, result.stamp_ns)
         return result.timings_ms
@@ -118,8 +113,7 @@ class _Engine:
     def _pipeline_of(self, pair: SerializedPair) -> StereoPipeline:
         infos = (without_stamp(pair.left_info), without_stamp(pair.right_info))
         if self._pipeline is None or infos != self._infos:
-            messages = [self._types.deserialize(info, _INFO_TYPE) for info in (pair.left_info, pair.right_info)]
-            self.rig = StereoRig.from_infos(*messages)
+            self.rig = pair.rig(self._types)
             self._pipeline = StereoPipeline(self._config, self.rig)
             self._infos = infos
         return self._pipeline
