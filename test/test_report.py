@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from stereo_depth_ros.nodes.replay.tracker import PairTracker
-from stereo_depth_ros.offline.report import OutputStats, ReplayResult, percentile, stage_timings
+from stereo_depth_ros.offline.report import OutputStats, RunReport, percentile, stage_timings
 
 
-def result_of(**changes: object) -> ReplayResult:
+def result_of(**changes: object) -> RunReport:
     values: dict[str, object] = {
         "bag": Path("in.mcap"),
         "output": None,
@@ -24,7 +24,7 @@ def result_of(**changes: object) -> ReplayResult:
         "outputs": {"disparity": OutputStats(2, 1, (10.0, 30.0)), "points2": OutputStats(3, 0, (1.0, 2.0, 4.0))},
         "wall_s": 1.5,
     }
-    return ReplayResult(**{**values, **changes})  # type: ignore[arg-type]
+    return RunReport(**{**values, **changes})  # type: ignore[arg-type]
 
 
 def test_percentile_interpolates_between_the_two_nearest_values() -> None:

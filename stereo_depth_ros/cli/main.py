@@ -29,7 +29,7 @@ from stereo_depth_ros.core.errors import BagError, StereoDepthError
 from stereo_depth_ros.core.installed_files import installed_files
 from stereo_depth_ros.matching import MATCHERS
 from stereo_depth_ros.offline.engine import process_bag
-from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.plots.bag_preview import save_bag_preview
 from stereo_depth_ros.replay.graph_processes import require_ros
 from stereo_depth_ros.replay.options import ReplayOptions
@@ -224,7 +224,7 @@ def _replay(
     values: dict[str, Value],
     params_file: Path | None,
     health: Literal["", "watch", "correct"] = "",
-) -> ReplayResult:
+) -> RunReport:
     _check_output(Path(options.bag), Path(options.output))
     require_ros()
     from stereo_depth_ros.nodes.replay.live import replay_through_graph
@@ -234,7 +234,7 @@ def _replay(
         return replay_through_graph(options, shape, values, config, progress, params_file, health)
 
 
-def _finish(result: ReplayResult, json_file: Path | None, image: Path | None = None) -> None:
+def _finish(result: RunReport, json_file: Path | None, image: Path | None = None) -> None:
     values = result.to_json() | ({"image": str(image)} if image else {})
     show(result_tables(result, image), values, json_file)
     for text in result.warnings:

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from stereo_depth_ros.bags.info import BagInfo
 from stereo_depth_ros.config import CONFIGS, parameter_infos
-from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.offline.report import RunReport
 
 __all__ = [
     "evaluation_tables",
@@ -58,7 +58,7 @@ _COSTS: Columns = {
 }
 
 
-def result_tables(result: ReplayResult, image: Path | None = None) -> Iterator[Table]:
+def result_tables(result: RunReport, image: Path | None = None) -> Iterator[Table]:
     """What a replay or an offline run gave: the outputs, the stages, a summary with the paths."""
     if result.outputs:
         yield _outputs_table(result)
@@ -180,7 +180,7 @@ def _figure(value: float | None, factor: float) -> str:
     return f"{scaled:.{2 if abs(scaled) < 10 else 1 if abs(scaled) < 100 else 0}f}"
 
 
-def _summary_table(result: ReplayResult, image: Path | None) -> Table:
+def _summary_table(result: RunReport, image: Path | None) -> Table:
     facts = facts_table()
     facts.add_row("pairs in", str(result.pairs))
     if result.unpaired_left or result.unpaired_right:
@@ -205,7 +205,7 @@ def _summary_table(result: ReplayResult, image: Path | None) -> Table:
     return facts
 
 
-def _outputs_table(result: ReplayResult) -> Table:
+def _outputs_table(result: RunReport) -> Table:
     table = plain_table(
         "output", "received:r", "lost:r", "p50 ms:r", "p95 ms:r", title="latency, raw pair sent to output received"
     )
@@ -215,7 +215,7 @@ def _outputs_table(result: ReplayResult) -> Table:
     return table
 
 
-def _stages_table(result: ReplayResult) -> Table:
+def _stages_table(result: RunReport) -> Table:
     table = plain_table("stage", "p50 ms:r", "p95 ms:r", title="time inside the stages")
     for stage, (p50, p95) in result.stages_ms.items():
         table.add_row(stage, _ms(p50), _ms(p95))

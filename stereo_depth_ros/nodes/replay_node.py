@@ -24,7 +24,7 @@ from stereo_depth_ros.nodes.replay.player import Player
 from stereo_depth_ros.nodes.replay.recorder import Recorder
 from stereo_depth_ros.nodes.transport import prepare_process
 from stereo_depth_ros.offline.provenance import provenance
-from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["main", "play", "replay"]
@@ -41,7 +41,7 @@ def replay(
     progress: Callable[[int, int], None] = _nothing,
     check: Callable[[], None] = _nothing,
     config: PipelineConfig | None = None,
-) -> ReplayResult:
+) -> RunReport:
     """Play a bag through the nodes that run in this ROS domain; rclpy is initialized for it and shut down after it.
 
     Args:
@@ -73,7 +73,7 @@ def play(
     config: PipelineConfig,
     progress: Callable[[int, int], None] = _nothing,
     check: Callable[[], None] = _nothing,
-) -> ReplayResult:
+) -> RunReport:
     """As :func:`replay`, with a node that is there already."""
     with BagPairs(options.selection, config.pairing) as pairs:
         with Recorder(options.output_path) as recorder:
@@ -86,7 +86,7 @@ def play(
                 intruders = "; ".join(ports.intruders())  # one that came, or was discovered, while the bag played
             finally:
                 ports.close()
-        result = ReplayResult(
+        result = RunReport(
             bag=options.selection.path,
             output=options.output_path,
             pairs=player.sent,
@@ -136,7 +136,7 @@ def _declared(node: Node, config: type[Any]) -> Any:
     return config(**values)
 
 
-def _summary(result: ReplayResult) -> str:
+def _summary(result: RunReport) -> str:
     outputs = ", ".join(f"{topic} {stats.received}" for topic, stats in result.outputs.items())
     return (
         f"{result.pairs} pairs of {result.bag} sent, {result.frames_per_second:.1f} pairs/s; received {outputs}; "

@@ -20,7 +20,7 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.messages.cdr import stamp_text, without_stamp
 from stereo_depth_ros.offline.provenance import provenance
-from stereo_depth_ros.offline.report import ReplayResult, percentile
+from stereo_depth_ros.offline.report import RunReport, percentile
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
 
@@ -32,7 +32,7 @@ def process_bag(
     output: Path,
     config: PipelineConfig,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> ReplayResult:
+) -> RunReport:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
     A pair that cannot be processed is left out; the first of its kind is told in the warnings.
@@ -67,7 +67,7 @@ def process_bag(
             if engine.rig is None or not writer.message_count:
                 raise BagError(f"{selection.path}: no pair could be processed: {'; '.join(refused.values()) or 'none'}")
             writer.write_metadata("stereo_depth_ros", provenance(config, engine.rig, bag=selection.path))
-        return ReplayResult(
+        return RunReport(
             bag=selection.path,
             output=output,
             pairs=sent,

@@ -14,7 +14,7 @@ import numpy as np
 
 from stereo_depth_ros.evaluation.bag_score import BagScore
 
-__all__ = ["OutputStats", "ReplayResult", "percentile", "stage_timings"]
+__all__ = ["OutputStats", "RunReport", "percentile", "stage_timings"]
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class OutputStats:
 
 
 @dataclass(frozen=True)
-class ReplayResult:
+class RunReport:
     """What became of a bag that went through the path, live or offline.
 
     Attributes:
