@@ -48,7 +48,7 @@ def test_a_bag_without_camera_infos(tmp_path: Path) -> None:
         for side, image in (("left", frame.pair.left), ("right", frame.pair.right)):
             message = image_message(types, image.pixels, "mono8", image.stamp_ns, image.frame_id)
             bag.write(f"/{side}/image_raw", message, image.stamp_ns)
-    with pytest.raises(BagError, match="no CameraInfo belongs to /left/image_raw: record the camera infos"):
+    with pytest.raises(BagError, match="no CameraInfo topic belongs to /left/image_raw: record the camera infos"):
         read_rig([tmp_path / "b.mcap"])
 
 

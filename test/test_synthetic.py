@@ -364,7 +364,7 @@ def test_bag_is_the_same_every_time_and_is_not_replaced_unasked(room: SyntheticS
     write_synthetic_bag(path, room)
     write_synthetic_bag(again, room)
     assert path.read_bytes() == again.read_bytes()
-    with pytest.raises(BagError, match=r"room\.mcap exists: remove it"):
+    with pytest.raises(BagError, match=r"room\.mcap: already exists: remove it"):
         write_synthetic_bag(path, room)
     path.write_bytes(b"")
     write_synthetic_bag(path, room, overwrite=True)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads an MCAP file that has no index, such as one cut in the middle: every whole message before the cut."""
+"""Reads an MCAP file without index, such as one that is cut: every complete message before the cut."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["RecoveredMcap"]
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEADER = struct.Struct("<BQ")
-# what mcap raises at damaged records, zstandard and lz4 (RuntimeError) at damaged chunks
+# raised by mcap at damaged records, by zstandard and lz4 (RuntimeError) at damaged chunks
 _DAMAGE = (McapError, struct.error, UnicodeDecodeError, OverflowError, zstandard.ZstdError, RuntimeError)
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
@@ -44,21 +44,21 @@ class _Record(NamedTuple):
 
 @dataclass(frozen=True)
 class _Block:
-    """A chunk, or one message outside of chunks: where it is and the first time in it."""
+    """A chunk, or one message outside of chunks: its offset in the file and its first log time."""
 
     offset: int
     start_ns: int
 
 
 class RecoveredMcap:
-    """A sequential scan makes the index that the file lacks; messages are then read block by block in log-time order.
+    """A sequential scan builds the index that the file lacks; messages are read block by block in log-time order.
 
     Attributes:
         cut: the file ends, or is damaged, before its footer.
         start_ns, end_ns: log times of the first and last message; 0 when there is none.
 
     Raises:
-        BagError: not an MCAP file, or compressed in an unknown way.
+        BagError: not an MCAP file, or of an unsupported compression.
     """
 
     def __init__(self, path: Path) -> None:
@@ -89,7 +89,7 @@ class RecoveredMcap:
     def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[tuple[str, int, bytes]]:
         """(topic, log time, CDR bytes) with start_ns <= log time <= end_ns, in log-time order."""
         ids = {key: channel.topic for key, channel in self._channels.items() if channel.topic in topics}
-        # a block waits in the queue until its first message is due, then its messages take its place
+        # a block stays in the queue until its first message is due, then its messages replace it
         queue: list[tuple[int, int, int, _Block | Message]] = [
             (block.start_ns, block.offset, 0, block) for block in self._blocks if block.start_ns <= end_ns
         ]
@@ -109,8 +109,12 @@ class RecoveredMcap:
 
     def _scan(self) -> None:
         if self._file.read(len(_MAGIC)) != _MAGIC:
-            raise BagError(f"{self.path} is not an MCAP file: it does not begin with the MCAP magic")
-        with suppress(*_DAMAGE):  # what follows a damaged record cannot be trusted: the same as a cut in front of it
+            raise BagError(
+                "is not an MCAP file, it does not begin with the MCAP magic",
+                subject=str(self.path),
+                remedy="check what the file is, or copy it again",
+            )
+        with suppress(*_DAMAGE):  # nothing after a damaged record can be trusted: the same as a cut in front of it
             for record in _top_level_records(self._file):
                 if record.opcode in (Opcode.DATA_END, Opcode.FOOTER) and record.complete:
                     self.cut = False
@@ -149,8 +153,8 @@ class RecoveredMcap:
 def _top_level_records(file: BinaryIO) -> Iterator[_Record]:
     """Records until the file ends; the last one may be incomplete.
 
-    mcap's StreamReader cannot do this: it gives whole records only, and so loses the messages at the beginning of a cut
-    chunk; it parses every record, and so ends at a damaged index; and it allocates whatever a damaged length states.
+    mcap's StreamReader does not serve here: it gives complete records only and loses the messages at the beginning of a
+    cut chunk, parses every record and ends at a damaged index, and allocates whatever a damaged length states.
     """
     offset = file.tell()
     size = file.seek(0, io.SEEK_END)
@@ -166,11 +170,16 @@ def _top_level_records(file: BinaryIO) -> Iterator[_Record]:
 
 
 def _unpack(chunk: Chunk) -> bytes:
-    """The records of a chunk; mcap unpacks whole chunks only, a cut one gives those at its beginning."""
+    """The records of a chunk; of a cut one those at its beginning, while mcap decompresses only complete chunks."""
     if chunk.compression == "zstd":
         return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
     if chunk.compression:
-        raise BagError(f"chunk compression {chunk.compression!r} is not known: known are zstd, lz4 and none")
+        raise BagError(
+            f"chunk compression {chunk.compression!r} is not supported, supported are zstd, lz4 and none",
+            value=chunk.compression,
+            limit=("zstd", "lz4", "none"),
+            remedy="convert the bag to one of these",
+        )
     return chunk.data

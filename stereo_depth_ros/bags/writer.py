@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes an MCAP bag that rosbag2 and Foxglove read; it gets its final name only when it is complete."""
+"""Writes MCAP bags that rosbag2 and Foxglove read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none
 
 
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
-# Keep the last one, reliable, transient local, in the numbers of rmw, as rosbag2 writes it
+# keep last, depth 1, reliable, transient local, as numbers of rmw like in the metadata of rosbag2
 _LATCHED = f"""\
 - history: 1
   depth: 1
@@ -42,24 +42,41 @@ class BagWriter:
     in an exception, what was written stays readable under the partial name and the final name is not touched.
 
     Args:
-        path: file to make, must end in ``.mcap``; folders above it are made.
-        compression: of the chunks: "zstd", "lz4" or "none".
-        chunk_size: bytes of messages per chunk before compression; about this much is lost when the process is killed.
+        path: file to create, must end in ``.mcap``; missing folders are created.
+        compression: compression of the chunks: "zstd", "lz4" or "none".
+        chunk_size: bytes of messages per chunk before compression; about this much is lost if the process is killed.
         overwrite: replace an existing file.
 
     Raises:
-        BagError: wrong suffix, unknown compression, the file exists and ``overwrite`` is false, or it cannot be made.
+        BagError: wrong suffix, unknown compression, an existing file without ``overwrite``, or it cannot be created.
     """
 
     def __init__(
         self, path: Path, *, compression: str = "zstd", chunk_size: int = 4 * 1024 * 1024, overwrite: bool = False
     ) -> None:
         if compression not in _COMPRESSIONS:
-            raise BagError(f"compression {compression!r} is none of {', '.join(_COMPRESSIONS)}: take one of them")
+            raise BagError(
+                f"compression {compression!r} is not one of {', '.join(_COMPRESSIONS)}",
+                value=compression,
+                limit=tuple(_COMPRESSIONS),
+                remedy="choose one of them",
+                settings=("compression",),
+            )
         if path.suffix != ".mcap":
-            raise BagError(f"cannot write {path}: bags are written as MCAP, let the name end in .mcap")
+            raise BagError(
+                "cannot be written, bags are written as MCAP only",
+                subject=str(path),
+                value=path.suffix,
+                limit=".mcap",
+                remedy="choose a name that ends in .mcap",
+            )
         if path.exists() and not overwrite:
-            raise BagError(f"{path} exists: remove it, take another name, or ask for it to be overwritten")
+            raise BagError(
+                "already exists",
+                subject=str(path),
+                remedy="remove it, choose another name, or allow overwriting",
+                settings=("overwrite",),
+            )
         self.path = path
         self.message_count = 0
         self._partial = path.with_suffix(".partial.mcap")
@@ -71,7 +88,9 @@ class BagWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._partial.open("wb")
         except OSError as error:
-            raise BagError(f"cannot write {path}: {error.strerror}") from error
+            raise BagError(
+                f"cannot be written ({error.strerror})", subject=str(path), remedy="choose another folder"
+            ) from error
         self._writer = Writer(self._file, chunk_size=chunk_size, compression=_COMPRESSIONS[compression])
         self._writer.start(profile="ros2", library="stereo_depth_ros")
 
@@ -84,9 +103,9 @@ class BagWriter:
         publish_time_ns: int | None = None,
         latched: bool = False,
     ) -> None:
-        """Write a serialized message; ``publish_time_ns`` is the log time where it is not given.
+        """Write a serialized message; without ``publish_time_ns`` it is published at its log time.
 
-        A topic whose first message is ``latched`` is played to subscribers that come late, too.
+        A topic whose first message is ``latched`` is recorded as transient local: late subscribers receive it too.
 
         Raises:
             BagError: the type has no known definition, or the topic already carries another type.
@@ -102,11 +121,11 @@ class BagWriter:
         self.write_raw(topic, message.__msgtype__, self._types.serialize(message), stamp_ns)
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a record of names and values beside the messages: what was used to make them."""
+        """Write a metadata record: names and values, such as the parameters that were used."""
         self._writer.add_metadata(name, dict(values))
 
     def close(self) -> None:
-        """Finish the bag and give it its final name; a second call does nothing."""
+        """Finish the bag and rename it to its final name; a second call does nothing."""
         if self._finish():
             self._partial.replace(self.path)
 
@@ -131,7 +150,7 @@ class BagWriter:
     def _channel(self, topic: str, msgtype: str, latched: bool) -> int:
         if topic not in self._channels:
             schema = self._schema(msgtype)
-            # rosbag2 reads both keys; without a profile it plays with its default QoS
+            # rosbag2 reads both keys; without a QoS profile it plays with its default
             metadata = {
                 "offered_qos_profiles": _LATCHED if latched else "",
                 "topic_type_hash": self._types.typestore.hash_rihs01(msgtype),
@@ -139,7 +158,12 @@ class BagWriter:
             self._channels[topic] = (msgtype, self._writer.register_channel(topic, "cdr", schema, metadata))
         known_type, channel = self._channels[topic]
         if known_type != msgtype:
-            raise BagError(f"topic {topic} carries {known_type}, not {msgtype}: write {msgtype} on a topic of its own")
+            raise BagError(
+                f"topic {topic} carries {known_type}, not {msgtype}",
+                value=msgtype,
+                limit=known_type,
+                remedy=f"write {msgtype} on another topic",
+            )
         return channel
 
     def _schema(self, msgtype: str) -> int:
@@ -148,7 +172,10 @@ class BagWriter:
                 definition, _ = self._types.typestore.generate_msgdef(msgtype, ros_version=2)
             except TypesysError as error:
                 raise BagError(
-                    f"no definition of message type {msgtype!r}: only types of ROS 2 Jazzy are written to {self.path}"
+                    f"no definition of message type {msgtype!r}",
+                    subject=str(self.path),
+                    value=msgtype,
+                    remedy="write types of ROS 2 Jazzy only",
                 ) from error
             self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition.encode())
         return self._schemas[msgtype]
