@@ -123,5 +123,5 @@ def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bo
         count = convert_dataset(dataset, output, rate_hz=rate_hz, overwrite=overwrite, progress=progress)
     for text in getattr(dataset, "warnings", []):
         messages.print(f"warning: {text}", markup=False)
-    left_out = getattr(dataset, "left_out", 0)
+    left_out = getattr(dataset, "skipped", 0)
     messages.print(f"{count} pairs written to {output}" + (f", {left_out} images left out" if left_out else ""))
