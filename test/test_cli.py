@@ -103,7 +103,7 @@ def test_info_of_a_bag_without_pairs_says_why_and_ends_with_1(run: Run, tmp_path
 def test_known_errors_are_one_line_and_exit_code_1(run: Run, bag: Path, tmp_path: Path) -> None:
     code, out, err = run("info", tmp_path / "none.mcap")
     assert (code, out) == (1, "")
-    assert err.startswith("error: ") and "none.mcap does not exist" in err and err.count("\n") == 1
+    assert err.startswith("error: ") and "none.mcap: does not exist" in err and err.count("\n") == 1
     assert "is the bag that is read" in run("process", bag, "-o", bag)[2]
     assert "does not end in .mcap" in run("process", bag, "-o", tmp_path / "o.bag")[2]
     assert "did you mean 'speckle_size'" in run("process", bag, "-o", tmp_path / "o.mcap", "-p", "speckle_siz:=3")[2]
@@ -140,7 +140,7 @@ def test_synthesize_and_convert_write_bags(run: Run, tmp_path: Path) -> None:
     assert code == 0 and "1 pairs written" in err
     assert len(messages_of(made, "/truth/disparity")) == 1
     code, _, err = run("synthesize", made, "--frames", "1", "--width", "64", "--height", "48")
-    assert code == 1 and "room.mcap exists" in err
+    assert code == 1 and "room.mcap: already exists" in err
     code, _, err = run("convert", "kitti", tmp_path, tmp_path / "k.mcap")
     assert code == 1 and "is not a KITTI folder" in err
 
@@ -165,7 +165,7 @@ def test_convert_images_tells_what_it_leaves_out(run: Run, tmp_path: Path) -> No
     told = " ".join(err.split())
     assert code == 0
     assert "2 pairs written" in told and "2 images left out" in told
-    assert "left1.png has no right image beside it" in told and "right4.png has no left image beside it" in told
+    assert "left1.png: skipped, it has no right image" in told and "right4.png: skipped, it has no left image" in told
 
 
 @pytest.mark.parametrize("command", ["info", "replay", "process", "demo", "parameters", "synthesize", "convert kitti"])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth evaluate`: tables, files, images, what is left out, exit codes."""
+"""`stereo-depth evaluate`: tables, files, images, skipped scenes, exit codes."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def rows_of(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def test_scenes_times_methods_as_table_json_csv_and_pictures(run: Run, tmp_path: Path) -> None:
+def test_scenes_and_methods_as_table_json_csv_and_images(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "data" / "one")
     write_scene(tmp_path / "data" / "set" / "two", seed=2)
     report, sheet, images = tmp_path / "r.json", tmp_path / "r.csv", tmp_path / "images"
@@ -84,7 +84,7 @@ def test_scenes_times_methods_as_table_json_csv_and_pictures(run: Run, tmp_path:
     assert cv2.imread(str(images / "one_bm.png")).shape[1] > 1000
 
 
-def test_range_that_is_given_is_kept_and_told(run: Run, tmp_path: Path) -> None:
+def test_given_range_is_kept_and_reported(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "one")
     code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, "--param", "disparity_range:=48")
     assert code == 0 and "48 to 48, as given" in out
@@ -93,8 +93,8 @@ def test_range_that_is_given_is_kept_and_told(run: Run, tmp_path: Path) -> None:
 
 
 def test_confidence_is_measured_and_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Sure:
-        """Block matching that is less sure where it is wrong."""
+    class Confident:
+        """Block matching with low confidence where it is wrong."""
 
         def __init__(self, inner: Matcher) -> None:
             self.config, self._inner = inner.config, inner
@@ -105,7 +105,7 @@ def test_confidence_is_measured_and_drawn(run: Run, tmp_path: Path, monkeypatch:
             confidence = np.where(np.isnan(found.disparity_px), 0, np.where(wrong, 0.25, 0.75)).astype(np.float32)
             return MatchResult(found.disparity_px, found.reasons, found.step_px, confidence)
 
-    monkeypatch.setattr(evaluator, "create_matcher", lambda *how: Sure(create_matcher(*how)))
+    monkeypatch.setattr(evaluator, "create_matcher", lambda *how: Confident(create_matcher(*how)))
     write_scene(tmp_path / "one")
     files = ("--json", tmp_path / "r.json", "--images", tmp_path / "p")
     code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, *files)
@@ -143,7 +143,7 @@ def test_folder_of_a_compressed_bag(run: Run, tmp_path: Path, plugin: StoragePlu
     assert [row["scene"] for row in rows_of(tmp_path / "r.json")] == ["bag/0000"]
 
 
-def test_what_cannot_be_evaluated_is_left_out_and_told(run: Run, tmp_path: Path) -> None:
+def test_scenes_that_cannot_be_evaluated_are_skipped_and_reported(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "good")
     left, right, truth_px = pair()
     write(write_scene(tmp_path / "scaled") / "disp0.pfm", 4 * truth_px)
@@ -156,7 +156,7 @@ def test_what_cannot_be_evaluated_is_left_out_and_told(run: Run, tmp_path: Path)
     assert "good" in out
     told = err.splitlines()
     assert len(told) == 4 and told[-1].startswith("error: 3 left out")
-    assert told[0].startswith("warning: scaled left out: the truth's scale looks wrong: it is about 4 times")
+    assert told[0].startswith("warning: scaled left out: the scale of the truth looks wrong, it is about 4 times")
     assert told[1].startswith("warning: small left out: sizes differ: left 170x96, right 170x96, truth 168x96")
     assert told[2].startswith("warning: swapped left out: cameras look swapped")
     code, out, err = run(tmp_path / "swapped", "--matcher", "bm", *SMALL)
@@ -165,7 +165,7 @@ def test_what_cannot_be_evaluated_is_left_out_and_told(run: Run, tmp_path: Path)
     assert err.count("\n") == 1
 
 
-def test_method_that_refuses_one_scene_is_left_out_there(run: Run, tmp_path: Path) -> None:
+def test_method_that_refuses_one_scene_is_skipped_there(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "one")
     window = ("--param", "correlation_window_size:=95", "--param", "prefilter_cap:=5")
     code, out, err = run(tmp_path / "one", "--matcher", "bm", *window, "--param", "disparity_range:=160")
@@ -188,7 +188,7 @@ def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> N
     )
     assert "none does not exist" in error(tmp_path / "none", "--matcher", "bm")
     (tmp_path / "empty").mkdir()
-    assert "empty has no scene with truth" in error(tmp_path / "empty", "--matcher", "bm")
+    assert "empty: has no scene with truth" in error(tmp_path / "empty", "--matcher", "bm")
     for option in ("--json", "--csv"):
         assert "there is no folder" in error(tmp_path / "one", "--matcher", "bm", option, tmp_path / "no" / "r")
     assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--csv", tmp_path)
@@ -205,7 +205,7 @@ def test_usage(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_tsukuba_and_cones_against_figures_worked_out_apart(run: Run, stereo_data: Path, tmp_path: Path) -> None:
+def test_tsukuba_and_cones_against_independent_figures(run: Run, stereo_data: Path, tmp_path: Path) -> None:
     tsukuba = stereo_data / "middlebury2001" / "tsukuba"
     places = (tsukuba, stereo_data / "middlebury2003")
     code, out, err = run(*places, "--matcher", "sgbm", "--json", tmp_path / "r.json")

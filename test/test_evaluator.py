@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The evaluator: the search it gives to methods, how it takes their time, and every figure by hand."""
+"""The evaluator: search range, timing, and every figure by hand."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OBJECT = np.array([[0, 0, 0, 0, 1], [0, 0, 0, 0, 1]], np.bool_)
 
 
 class StubMatcher:
-    """Answers every pair with the same disparities."""
+    """Returns the same disparities for every pair."""
 
     name, step_px = "stub", 1 / 16
 
@@ -164,7 +164,7 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
     with pytest.raises(ImageError, match="5 x 2 px"):
         evaluate("room", scene, "bm", MatchingConfig())
     use(monkeypatch, found=FOUND[:1])
-    with pytest.raises(ImageError, match=r"stub gives \(1, 5\), the image is \(2, 5\)"):
+    with pytest.raises(ImageError, match=r"stub returns \(1, 5\), the image is \(2, 5\)"):
         evaluate("room", scene, "stub", MatchingConfig())
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics against numbers worked out by hand."""
+"""Metrics against numbers computed by hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.evaluation.metrics import depth_errors, disparity_errors
 
 NAN = np.nan
-# Errors 0, 0.5, 0.75, 1.5, 4 where both are known; one hole; one pixel without truth (inf) and one with neither.
+# Errors 0, 0.5, 0.75, 1.5, 4 where both are known; one hole; one pixel without truth (inf) and one without both.
 TRUTH = np.array([[10, 20, 30, 40], [50, 60, np.inf, NAN]], np.float32)
 FOUND = np.array([[10, 20.5, 29.25, 41.5], [46, NAN, 7, NAN]], np.float32)
 

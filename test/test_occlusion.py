@@ -18,13 +18,13 @@ def visible(*rows: list[float]) -> list[list[int]]:
     return visible_pixels(np.array(rows, np.float32)).astype(int).tolist()
 
 
-def test_nearer_surface_hides_what_lands_on_its_right_pixels() -> None:
+def test_nearer_surface_occludes_what_maps_to_its_right_pixels() -> None:
     # Columns 4 and 5 at 3 px land on 1 and 2, as columns 2 and 3 at 1 px do; column 0 leaves the image. A row below
     # without the near surface hides nothing.
     assert visible([1, 1, 1, 1, 3, 3, 1, 1], [1] * 8) == [[0, 1, 0, 0, 1, 1, 1, 1], [0, 1, 1, 1, 1, 1, 1, 1]]
 
 
-def test_surface_that_is_passed_over_is_visible() -> None:
+def test_surface_between_the_mapped_pixels_is_visible() -> None:
     # A thin pole, column 6 at 5 px, lands on 1: column 2 is hidden, columns 3 to 5 land right of it and are not.
     assert visible([1, 1, 1, 1, 1, 1, 5, 1]) == [[0, 1, 0, 1, 1, 1, 1, 1]]
 

@@ -239,8 +239,8 @@ def _finish(result: RunReport, json_file: Path | None, image: Path | None = None
     show(result_tables(result, image), values, json_file)
     for text in result.warnings:
         messages.print(f"warning: {text}", markup=False)
-    if result.left_out or (result.lost and not result.realtime):
-        messages.print(f"error: {result.left_out} pairs left out, {result.lost} outputs lost: see the warnings above")
+    if result.skipped or (result.lost and not result.realtime):
+        messages.print(f"error: {result.skipped} pairs left out, {result.lost} outputs lost: see the warnings above")
         raise typer.Exit(EXIT_LOST)
 
 

@@ -185,8 +185,8 @@ def _summary_table(result: RunReport, image: Path | None) -> Table:
     facts.add_row("pairs in", str(result.pairs))
     if result.unpaired_left or result.unpaired_right:
         facts.add_row("images without partner", f"left {result.unpaired_left}, right {result.unpaired_right}")
-    if result.left_out:
-        facts.add_row("pairs left out", str(result.left_out))
+    if result.skipped:
+        facts.add_row("pairs left out", str(result.skipped))
     facts.add_row("pairs a second", f"{result.frames_per_second:.1f}")
     score = result.score
     if score is not None:

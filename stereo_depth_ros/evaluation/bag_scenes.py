@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pairs of a bag that have a truth on /truth/disparity, rectified, as scenes to evaluate on."""
+"""Scenes of a bag: the pairs with true disparities on /truth/disparity, rectified."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ __all__ = ["BagScenes"]
 
 
 class BagScenes:
-    """The pairs of a bag whose left stamp a message of ``/truth/disparity`` has.
+    """The pairs of a bag whose left image has the stamp of a message on ``/truth/disparity``.
 
-    Where the rectified left image has no source in the raw one, the truth counts as unknown: no method sees anything.
+    Where the rectified left image has no source pixel in the raw one, the truth is unknown.
 
     Args:
         path: the bag.
 
     Raises:
-        BagError: no bag.
-        TopicError: no truth in it, or no stereo pair.
+        BagError: not a readable bag.
+        TopicError: no true disparities in it, or no stereo pair.
     """
 
     def __init__(self, path: Path) -> None:
@@ -43,11 +43,14 @@ class BagScenes:
         with BagReader(path) as reader:
             if TRUTH_TOPIC not in reader.topics:
                 raise TopicError(
-                    f"{path} has no {TRUTH_TOPIC}, it has {', '.join(reader.topics)}: make a bag with truth, with "
-                    "`stereo-depth convert` or `stereo-depth synthesize`"
+                    f"has no {TRUTH_TOPIC}, it has {', '.join(reader.topics)}",
+                    subject=str(path),
+                    value=list(reader.topics),
+                    limit=TRUTH_TOPIC,
+                    remedy="convert a dataset with true disparities, or synthesize a bag",
                 )
             self._truth_type, self._count = reader.topics[TRUTH_TOPIC].msgtype, reader.topics[TRUTH_TOPIC].count
-        BagPairs(BagSelection(path), PairingConfig()).close()  # a bag without pairs is refused before anything runs
+        BagPairs(BagSelection(path), PairingConfig()).close()  # refuses a bag without pairs before anything runs
 
     def __len__(self) -> int:
         return self._count
@@ -68,6 +71,6 @@ class BagScenes:
         rectifier = Rectifier(rig)
         rectified = rectifier.rectify(pair.images(self._types, image_type))
         truth_px = matched_disparity(self._types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
-        if truth_px.shape == rectified.left.shape:  # other sizes are refused below
+        if truth_px.shape == rectified.left.shape:  # make_scene refuses other sizes
             truth_px[~rectifier.left_source] = np.nan
         return make_scene(rectified.left, rectified.right, truth_px, doffs_px=rig.doffs_px)

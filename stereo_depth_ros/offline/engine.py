@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of a bag without a graph: the same pairs, the same pipeline, the same message bytes as live."""
+"""Processes a bag without a ROS graph, with the pairs, pipeline and message bytes of the live nodes."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def process_bag(
 ) -> RunReport:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
-    A pair that cannot be processed is left out; the first of its kind is told in the warnings.
+    A pair that cannot be processed is skipped; the first one of each kind of error is reported in the warnings.
 
     Args:
-        selection: which bag, topics and part of it.
+        selection: bag, topics and part of it.
         output: the bag to write; replaced when it exists.
         config: parameters of all stages.
-        progress: called with pairs done and pairs to do (at most).
+        progress: called with the pairs done and an upper bound of all pairs.
 
     Raises:
-        BagError, TopicError: nothing to read, cannot be written, or not one pair could be processed.
+        BagError, TopicError: no readable stereo bag, no writable output, or no pair that can be processed.
         ConfigError: parameters that contradict each other.
     """
     refused: dict[str, str] = {}
@@ -52,20 +52,26 @@ def process_bag(
     engine = _Engine(config)
     with BagPairs(selection, config.pairing) as pairs:
         with BagWriter(output, compression="lz4", overwrite=True) as writer:
-            start, sent, left_out = time.perf_counter(), 0, 0
+            start, sent, skipped = time.perf_counter(), 0, 0
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
                     timings_ms = engine.process(pair, pairs.topics.image_type, writer)
                 except StereoDepthError as error:
-                    left_out += 1
-                    refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} left out: {error}")
+                    skipped += 1
+                    refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} skipped: {error}")
                 else:
                     for stage, ms in timings_ms.items():
                         stages_ms[stage].append(ms)
                 progress(sent, pairs.count)
             wall_s = time.perf_counter() - start
             if engine.rig is None or not writer.message_count:
-                raise BagError(f"{selection.path}: no pair could be processed: {'; '.join(refused.values()) or 'none'}")
+                reasons = "; ".join(refused.values()) or "it holds no pairs of the given pairing"
+                raise BagError(
+                    f"no pair could be processed: {reasons}",
+                    subject=str(selection.path),
+                    value=0,
+                    remedy="examine the bag with the doctor",
+                )
             writer.write_metadata("stereo_depth_ros", provenance(config, engine.rig, bag=selection.path))
         return RunReport(
             bag=selection.path,
@@ -74,7 +80,7 @@ def process_bag(
             unpaired_left=pairs.unpaired_left,
             unpaired_right=pairs.unpaired_right,
             outputs={},
-            left_out=left_out,
+            skipped=skipped,
             wall_s=wall_s,
             stages_ms={stage: (percentile(times, 50), percentile(times, 95)) for stage, times in stages_ms.items()},
             score=score_disparity(output, selection.path),
@@ -83,7 +89,7 @@ def process_bag(
 
 
 class _Engine:
-    """Serialized pair to serialized outputs; the pipeline is made again when a camera info changes."""
+    """Computes serialized pairs; the pipeline is rebuilt when a camera info changes."""
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
@@ -91,10 +97,10 @@ class _Engine:
         self._messages = ResultMessages(self._types)
         self._infos: tuple[bytes, bytes] | None = None
         self._pipeline: StereoPipeline | None = None
-        self.rig: StereoRig | None = None  # of the newest pair
+        self.rig: StereoRig | None = None  # of the last pair
 
     def process(self, pair: SerializedPair, image_type: str, writer: BagWriter) -> dict[str, float]:
-        """Compute a pair and write its messages; milliseconds a stage."""
+        """Compute a pair and write its messages; returns milliseconds per stage."""
         images = pair.images(self._types, image_type)
         result = self._pipeline_of(pair).process(images)
         writer.write_raw("/left/camera_info", INFO_TYPE, pair.left_info, pair.stamp_ns)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a result was made with, as names and values to write beside it."""
+"""Provenance of a result: version, parameters and geometry of the rig as names and values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["package_version", "provenance"]
 
 
 def provenance(config: PipelineConfig, rig: StereoRig | None = None, **values: Any) -> dict[str, str]:
-    """Version, every parameter by its outside name, the rectified geometry of the rig, and ``values``, all as text."""
+    """Version, every parameter by its ROS name, the rectified geometry of the rig, and ``values``, all as text."""
     record = {"version": package_version(), **{name: str(value) for name, value in values.items()}}
     for stage in dataclasses.fields(config):
         stage_config = getattr(config, stage.name)
@@ -28,7 +28,7 @@ def provenance(config: PipelineConfig, rig: StereoRig | None = None, **values: A
 
 
 def package_version() -> str:
-    """Version of the installed package; "unknown" where it runs from a folder that was never installed."""
+    """Version of the installed package; "unknown" where it is not installed."""
     try:
         return metadata.version("stereo_depth_ros")
     except metadata.PackageNotFoundError:
