@@ -192,7 +192,9 @@ def test_without_nodes_the_topics_without_subscriber_or_publisher_are_named(
 
     monkeypatch.setenv("ROS_DOMAIN_ID", domain(1))
     monkeypatch.setattr(player, "_GRAPH_TIMEOUT_S", 0.5)
-    with pytest.raises(GraphError, match=r"/left/image_raw has no subscriber.*/points2 has no publisher.* after 0\.5 s"):
+    with pytest.raises(
+        GraphError, match=r"/left/image_raw has no subscriber.*/points2 has no publisher.* after 0\.5 s"
+    ):
         replay(ReplayOptions(bag=str(bag)), config=CONFIG)
 
 
