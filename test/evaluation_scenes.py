@@ -41,7 +41,7 @@ def write_scene(folder: Path, seed: int = 1) -> Path:
 
 
 def write_kitti(folder: Path) -> Path:
-    """KITTI 2015: one pair with truth, one frame without; pixels that one camera sees only; an object."""
+    """KITTI 2015: one pair with truth, one frame without; occluded pixels; an object."""
     left, right, truth_px = pair()
     for name in ("000000_10.png", "000000_11.png"):
         write(folder / "image_2" / name, left)

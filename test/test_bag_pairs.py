@@ -122,8 +122,9 @@ def test_bag_without_stereo_names_bag_and_topics(tmp_path: Path) -> None:
     path, types = tmp_path / "mono.mcap", RosbagsTypes()
     with BagWriter(path) as bag:
         bag.write("/cam/image", image_message(types, sequence(1)[0].pair.left.pixels, "mono8", 5, "cam"), 5)
-    with pytest.raises(TopicError, match=r"mono\.mcap: no stereo pair among the image topics /cam/image"):
+    with pytest.raises(TopicError, match=r"mono\.mcap: no stereo pair among the image topics /cam/image") as caught:
         BagPairs(BagSelection(path), EXACT)
+    assert (caught.value.subject, caught.value.settings) == (str(path), ("left", "right"))
 
 
 def test_bag_without_camera_infos_is_refused(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def test_a_folder_without_metadata_and_its_bare_file_are_read(tmp_path: Path) ->
     assert read(folder / "bag.db3") == IN_ORDER
 
 
-def test_metadata_with_another_qos_than_the_file_hides_nothing(tmp_path: Path) -> None:
+def test_all_messages_are_read_where_metadata_has_another_qos_than_the_file(tmp_path: Path) -> None:
     metadata = write_rosbag2(tmp_path / "bag") / "metadata.yaml"
     qos = "offered_qos_profiles: '- {history: 3, depth: 7, reliability: 1, durability: 2}'"
     metadata.write_text(metadata.read_text().replace("offered_qos_profiles: []", qos))
@@ -172,7 +172,7 @@ def test_a_cut_mcap_without_chunks_and_a_tail_of_zeros(tmp_path: Path) -> None:
 
 
 def test_a_damaged_chunk_ends_a_bag_without_index(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "bag.mcap", chunk_size=1)  # a message a chunk
+    path = write_mcap(tmp_path / "bag.mcap", chunk_size=1)  # one message per chunk
     data = bytearray(path.read_bytes())
     second = data.index(b"\x28\xb5\x2f\xfd", data.index(b"\x28\xb5\x2f\xfd") + 1)  # magic of zstd
     data[second : second + 4] = b"\0\0\0\0"

@@ -39,7 +39,7 @@ def test_a_bag_follows_the_conventions_of_ros2_and_mcap(tmp_path: Path) -> None:
     schema, channel, first = items[0]
     assert (schema.name, schema.encoding, channel.message_encoding) == (IMAGE, "ros2msg", "cdr")
     assert channel.metadata["offered_qos_profiles"] == ""
-    # the hash that ROS 2 Jazzy itself has for sensor_msgs/msg/Image
+    # the hash of ROS 2 Jazzy for sensor_msgs/msg/Image
     assert channel.metadata["topic_type_hash"] == (
         "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
     )

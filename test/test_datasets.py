@@ -159,7 +159,7 @@ def make_kitti(folder: Path, left: str = "image_0", right: str = "image_1", name
 
 def test_kitti_odometry(tmp_path: Path) -> None:
     folder = make_kitti(tmp_path)
-    (folder / "image_0" / "000009.png").write_bytes(b"")  # has no right one
+    (folder / "image_0" / "000009.png").write_bytes(b"")  # has no right image
     dataset = KittiDataset(folder)
     assert (dataset.rig.f_px, dataset.rig.fy_px) == (50.5, 51.5)
     assert dataset.rig.baseline_m == pytest.approx(27.27 / 50.5)
@@ -515,7 +515,9 @@ def test_pairs_without_times_are_counted_at_the_rate(tmp_path: Path) -> None:
 def test_real_middlebury_and_eth3d(stereo_data: Path) -> None:
     terrace = MiddleburyDataset(stereo_data / "eth3d" / "terrace")
     assert (terrace.rig.f_px, terrace.rig.baseline_m, terrace.rig.doffs_px) == pytest.approx((711.499, 0.0599432, 0))
-    assert np.isfinite(truth_of(terrace)).mean() == pytest.approx(0.53, abs=0.05)  # a laser scan: about half
+    assert np.isfinite(truth_of(terrace)).mean() == pytest.approx(
+        0.53, abs=0.05
+    )  # truth of a laser scan, about half of the pixels
     art = MiddleburyDataset(stereo_data / "middlebury2005" / "Art")
     dmin = float((stereo_data / "middlebury2005" / "Art" / "dmin.txt").read_text())
     assert art.rig.f_px == pytest.approx(1246.67, abs=0.01) and art.rig.doffs_px == pytest.approx(-dmin / 3)
@@ -542,7 +544,7 @@ def test_real_truth_explains_the_images(stereo_data: Path) -> None:
 
 
 def warp_error(left: np.ndarray, right: np.ndarray, disparity_px: F32) -> float:
-    """Mean absolute difference of the left image to the right one taken at x - d."""
+    """Mean absolute difference between the left image and the right one sampled at x - d."""
     y, x = np.indices(disparity_px.shape, np.float32)
     warped = cv2.remap(right, x - disparity_px, y, cv2.INTER_LINEAR)
     known = np.isfinite(disparity_px) & (x > disparity_px)

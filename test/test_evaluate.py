@@ -198,7 +198,7 @@ def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> N
 
 def test_usage(run: Run, tmp_path: Path) -> None:
     assert run(tmp_path)[0] == 2  # no method
-    assert run("--matcher", "bm")[0] == 2  # no place
+    assert run("--matcher", "bm")[0] == 2  # no folder or bag
     code, out, _ = run("--help")
     assert code == 0 and "stereo-depth evaluate Motorcycle-perfect --matcher sgbm" in out
     assert "smallest multiple of 16" in " ".join(out.split())

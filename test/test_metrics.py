@@ -35,7 +35,7 @@ def test_disparity_errors_by_hand() -> None:
 
 
 def test_error_quantiles_by_hand() -> None:
-    errors = disparity_errors(FOUND, TRUTH)  # five errors: the quantile q lies 4 q behind the first
+    errors = disparity_errors(FOUND, TRUTH)  # five errors: the quantile q is 4 q after the first
     assert errors.a90_px == pytest.approx(1.5 + 0.6 * 2.5)
     assert errors.a95_px == pytest.approx(1.5 + 0.8 * 2.5)
     assert errors.a99_px == pytest.approx(1.5 + 0.96 * 2.5)

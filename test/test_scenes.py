@@ -26,7 +26,7 @@ def test_scene_needs_no_calibration(tmp_path: Path) -> None:
     for found, made in ((scene.left, left), (scene.right, right), (scene.truth_px, truth_px)):
         np.testing.assert_array_equal(found, made)
     assert scene.occlusion == "truth" and scene.foreground is None
-    assert not scene.visible[:, :FAR_PX].any()  # leaves the right image
+    assert not scene.visible[:, :FAR_PX].any()  # maps outside of the right image
     assert not scene.visible[30:80, 60 - NEAR_PX + FAR_PX : 60].any()  # behind the near rectangle
     assert scene.visible[30:80, 60:].all() and scene.visible[:30, FAR_PX:].all()
 

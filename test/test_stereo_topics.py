@@ -76,7 +76,7 @@ def test_given_names_are_used() -> None:
     assert find_stereo_topics(names, left="/x/up", right="/left/image_raw").left_image == "/x/up"
     assert find_stereo_topics(names, left="/a/left").right_image == "/a/right"
     assert find_stereo_topics(names, right="/right/image_raw").left_image == "/left/image_raw"
-    found = find_stereo_topics(names, left="/right/image_raw", right="/left/image_raw")  # the user knows better
+    found = find_stereo_topics(names, left="/right/image_raw", right="/left/image_raw")  # given names are not exchanged
     assert found.left_image == "/right/image_raw"
 
 
@@ -107,5 +107,7 @@ def test_given_names_are_used() -> None:
     ],
 )
 def test_errors_list_the_topics(names: list[str], left: str | None, right: str | None, match: str) -> None:
-    with pytest.raises(TopicError, match=match):
+    with pytest.raises(TopicError, match=match) as caught:
         find_stereo_topics(topics(*names), left, right)
+    assert caught.value.settings == ("left", "right")
+    assert caught.value.remedy and caught.value.remedy not in caught.value.problem
