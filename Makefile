@@ -12,13 +12,13 @@ PYTEST_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test venv lint bench config clean
+.PHONY: help demo test venv lint bench config docs clean
 
 help: ## say what can be made
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile
 
 demo: venv ## play the sample bag through the live graph; prints a table, writes a bag and an image
-	$(BIN)/stereo-depth demo
+	$(BIN)/stereo-depth demo --overwrite
 
 test: venv ## run every test
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -31,8 +31,10 @@ lint: venv ## check style and types
 bench: venv ## measure the graph beside the bare kernels
 	$(BIN)/python benchmarks/graph.py
 
-config: venv ## write config/stereo_depth.yaml and the README's tables anew
+config: venv ## write everything generated: the parameter file, the tables of README and docs, the drawing
 	$(BIN)/python tools/documentation.py
+
+docs: config ## the same as make config
 
 clean: ## remove environments and everything built
 	rm -rf .venv* build install log out .mypy_cache .ruff_cache .pytest_cache *.egg-info

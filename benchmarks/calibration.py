@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from stereo_depth_ros.calibration.board_options import create_board
 from stereo_depth_ros.calibration.board_views import BoardView
-from stereo_depth_ros.calibration.boards import create_board
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.misalignment import Misalignment, MisalignmentEstimator, corrected_rig
 from stereo_depth_ros.calibration.row_error import match_rows
@@ -32,6 +32,7 @@ from stereo_depth_ros.core.types import F64, U8, StereoPair
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.kitti import KittiDataset
 from stereo_depth_ros.datasets.stereo_images import open_stereo_images
+from stereo_depth_ros.files.output import write_file
 from stereo_depth_ros.geometry.calibrated_rectification import METHODS, rectify_calibrated
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.epipolar import (
@@ -73,7 +74,7 @@ def main() -> None:
             print("| " + " | ".join(row) + " |", flush=True)
             rows.append(row._asdict())
     if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=2) + "\n")
+        write_file(arguments.json, json.dumps(rows, indent=2) + "\n", overwrite=True)
 
 
 def chessboards(data: Path) -> Iterator[Row]:

@@ -34,6 +34,7 @@ from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.evaluation.evaluator import search_range
 from stereo_depth_ros.evaluation.metrics import disparity_errors
 from stereo_depth_ros.evaluation.scenes import Scene, find_scenes
+from stereo_depth_ros.files.output import write_file
 from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
 
@@ -376,7 +377,7 @@ def main() -> None:
         found["limit"] = limit(scene, options.rounds)
         table("sgm on one core beside the limits of the machine, per pixel and disparity", found["limit"])
     if options.json:
-        options.json.write_text(json.dumps(found, indent=1) + "\n")
+        write_file(options.json, json.dumps(found, indent=1) + "\n", overwrite=True)
 
 
 if __name__ == "__main__":

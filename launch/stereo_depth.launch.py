@@ -23,7 +23,7 @@ ARGUMENTS = {
     "namespace": ("", "Namespace of the nodes."),
     "left_namespace": ("left", "Namespace of the topics of the left camera."),
     "right_namespace": ("right", "Namespace of the topics of the right camera."),
-    "health": ("false", "Start health_node, which watches the calibration; see auto_correct."),
+    "health": ("false", "Start calibration_monitor, which watches the calibration; see auto_correct."),
     "container": ("", "Taken for compatibility and not used: nodes in Python run in processes of their own."),
 }
 
@@ -39,7 +39,7 @@ RECTIFIED_TRANSPORT = PythonExpression(
 )
 
 
-# With auto_correct, by the camera infos that health_node publishes
+# With auto_correct, by the camera infos that calibration_monitor publishes
 RIGHT_INFO_TO_RECTIFY = PythonExpression(
     [
         *("'/camera_info_corrected' if '", LaunchConfiguration("health"), "'.lower() in ('true', '1')"),
@@ -118,7 +118,11 @@ def generate_launch_description():
             ),
             stage_node("stereo_depth_node", *PATH, condition=IfCondition(fused), rectifies=True),
             stage_node(
-                "health_node", "pairing", "health", condition=IfCondition(LaunchConfiguration("health")), **rectified
+                "calibration_monitor",
+                "pairing",
+                "health",
+                condition=IfCondition(LaunchConfiguration("health")),
+                **rectified,
             ),
         ]
     )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The outputs in one table: topic, type and builder of each, in the order of publishing."""
+"""Table of the outputs: topic, type and message builder of each, in the order of publishing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["OUTPUTS", "Output", "ResultMessages"]
 
 
 class ResultMessages:
-    """Builds the messages of results; each is good until the next of its kind is built."""
+    """Builds the messages of results; a message is valid until the next of its kind is built."""
 
     def __init__(self, types: MessageTypes) -> None:
         self._types = types
@@ -33,7 +33,7 @@ class ResultMessages:
         return self._image("left", result.rectified.left, "mono8", result.pair.left)
 
     def left_rectified_color(self, result: StereoResult) -> Any:
-        """The left rectified image in the colors it came in."""
+        """The left rectified image in its original encoding."""
         rectified = result.rectified
         return self._image("left color", rectified.left_color, rectified.color_encoding, result.pair.left)
 
@@ -83,8 +83,8 @@ class Output(NamedTuple):
 
     Attributes:
         topic: relative to the namespace.
-        msgtype: of its messages, ``package/msg/Name``.
-        build: makes the message of a result.
+        msgtype: message type, ``package/msg/Name``.
+        build: builds the message of a result.
     """
 
     topic: str
@@ -92,7 +92,7 @@ class Output(NamedTuple):
     build: Callable[[ResultMessages, StereoResult], Any]
 
 
-# What robots steer by goes first. The fused node, the offline engine and the replay read this table.
+# Outputs for obstacle avoidance are published first. Used by the fused node, the offline engine and the replay.
 OUTPUTS = (
     Output("points2", "sensor_msgs/msg/PointCloud2", ResultMessages.cloud),
     Output("disparity", "stereo_msgs/msg/DisparityImage", ResultMessages.disparity),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The path from a raw pair to depth, on one screen; live nodes and the offline engine call the same code."""
+"""Pipeline from a raw pair to depth and points, shared by the nodes and the offline engine."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ __all__ = ["StereoPipeline", "StereoResult"]
 
 
 class StereoPipeline:
-    """Rectify, match; depth and points follow from the result on demand.
+    """Rectification and matching; depth and points are computed from the result on demand.
 
-    Several threads may call it at once: their pairs are matched one after the other.
+    Thread-safe: concurrent pairs are matched one after the other.
 
     Args:
         config: parameters of all stages.
-        rig: the cameras; with an uncalibrated one the path ends with disparities.
+        rig: the cameras; with an uncalibrated rig the pipeline ends with disparities.
 
     Raises:
-        ConfigError, CalibrationError: what cannot work, before the first frame.
+        ConfigError, CalibrationError: invalid parameters or rig.
     """
 
     def __init__(self, config: PipelineConfig, rig: Rig) -> None:
@@ -44,10 +44,10 @@ class StereoPipeline:
         self._disparity = DisparityStage(config.matching, self._rectifier)
 
     def with_config(self, config: PipelineConfig) -> StereoPipeline:
-        """A pipeline of the same rig with other parameters; stages whose parameters are the same are shared.
+        """A pipeline of the same rig with other parameters; stages with unchanged parameters are shared.
 
         Raises:
-            ConfigError: what cannot work.
+            ConfigError: invalid parameters.
         """
         other = copy.copy(self)
         other.config = config
@@ -76,14 +76,14 @@ class StereoPipeline:
 
 @dataclass(frozen=True)
 class StereoResult:
-    """What the path knows of one pair.
+    """Result of the pipeline for one pair.
 
     Attributes:
-        pair: the images as they came.
+        pair: the raw images.
         rectified: the rectified images.
         disparity: disparities, reasons and confidence.
-        rig, config: what was used.
-        timings_ms: milliseconds a stage, by its name; grows as depth and points are asked for.
+        rig, config: those of the pipeline.
+        timings_ms: milliseconds by name of the stage; depth is added when it is computed.
     """
 
     pair: StereoPair
@@ -105,26 +105,28 @@ class StereoResult:
 
     @property
     def metric(self) -> bool:
-        """Whether the disparities tell depth; without a calibrated rig they do not."""
+        """Whether depth in meters is available, which needs a calibrated rig."""
         return self.rig.metric
 
     @property
     def calibrated_rig(self) -> StereoRig:
-        """The rig where it is a calibrated one.
+        """The rig, if it is calibrated.
 
         Raises:
-            CalibrationError: it is not; so do all that follow from it.
+            CalibrationError: it is not; also raised by all properties that depend on it.
         """
         if not isinstance(self.rig, StereoRig):
             raise CalibrationError(
-                "the rig is not calibrated: its disparities tell what is nearer, no depth in meters: calibrate both "
-                "cameras together and take a StereoRig"
+                "the rig is not calibrated, its disparities give no depth in meters",
+                value=type(self.rig).__name__,
+                limit="StereoRig",
+                remedy="calibrate both cameras together and use a StereoRig",
             )
         return self.rig
 
     @cached_property
     def triangulation(self) -> Triangulation:
-        """What turns the disparities into points."""
+        """Conversion of the disparities to points."""
         return Triangulation.from_rig(self.calibrated_rig)
 
     @cached_property

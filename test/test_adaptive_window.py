@@ -119,7 +119,7 @@ def test_sub_pixel_shift(low: int, shift: float) -> None:
     assert np.abs(result.disparity_px[inner] - shift).max() <= 0.08
 
 
-def test_increment_pulls_in_a_wrong_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_increments_correct_a_wrong_start(monkeypatch: pytest.MonkeyPatch) -> None:
     left, right = warped_pair(50, 110, 7.25)
     matcher = adaptive_window.AdaptiveWindowMatcher(MatchingConfig(**UNCHECKED))
     right_start = matcher._initial.match(left, right)
@@ -139,7 +139,7 @@ def test_slanted_plane() -> None:
 
 
 @pytest.mark.parametrize("low", [5, -40])
-def test_pixels_without_a_hypothesis_are_border(low: int) -> None:
+def test_pixels_without_a_candidate_are_border(low: int) -> None:
     left, right = warped_pair(30, 101, low + 12)
     result = create_matcher("adaptive_window", **{**UNCHECKED, "min_disparity": low}).match(left, right)
     border = np.zeros(left.shape, np.bool_)

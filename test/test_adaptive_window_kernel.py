@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Single windows: where they stop, and that they are those of the definition."""
+"""Single windows: where they stop, and against the definition."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.datasets.kitti import KittiDataset
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
-from stereo_depth_ros.nodes.replay.live import replay_through_graph
+from stereo_depth_ros.nodes.live_replay import replay_through_graph
 from stereo_depth_ros.replay.options import ReplayOptions
 
 pytestmark = [pytest.mark.graph, pytest.mark.real_data]

@@ -118,7 +118,7 @@ def test_images_that_cannot_be_decoded(tmp_path: Path) -> None:
         bag.write("/left/image_raw", replace(image, encoding="magic"), 5)
         bag.write_raw("/right/image_raw", "sensor_msgs/msg/Image", b"\0\1\0\0", 6)
     problems = "\n".join(inspect_bag(tmp_path / "bag.mcap").problems)
-    assert "/left/image_raw: encoding = 'magic' is not read" in problems
+    assert "/left/image_raw: encoding = 'magic' is not supported" in problems
     assert "/right/image_raw at 6 ns: 4 bytes are not a sensor_msgs/msg/Image" in problems
 
 

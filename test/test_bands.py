@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bands cover all rows once, from any thread, and errors come back."""
+"""Bands cover each row once, from any thread, and errors are raised in the caller."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_number_of_bands(cores: int) -> None:
 
 
 @pytest.mark.parametrize("failing", [0, 1])
-def test_exception_comes_back_after_all_bands(monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
+def test_exception_is_raised_after_all_bands(monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
     monkeypatch.setattr(parallel, "core_count", lambda: 3)
     done: list[int] = []
 
@@ -83,7 +83,7 @@ def test_nested_calls_do_not_deadlock(cores: int) -> None:
     thread = threading.Thread(target=run_bands, args=(outer, 640), daemon=True)
     thread.start()
     thread.join(20)
-    assert not thread.is_alive(), "nested bands wait for each other"
+    assert not thread.is_alive(), "nested bands deadlock"
     assert (counts == 1).all()
 
 

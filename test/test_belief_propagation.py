@@ -25,7 +25,7 @@ def random_model(seed: int, height: int, width: int, count: int) -> StereoModel:
 
 @pytest.mark.parametrize("shape", [(1, 6), (6, 1)])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_chain_of_pixels_gets_its_least_energy(seed: int, shape: tuple[int, int]) -> None:
+def test_a_chain_of_pixels_has_minimum_energy(seed: int, shape: tuple[int, int]) -> None:
     model = random_model(seed, *shape, 4)
     matcher = BeliefPropagationMatcher(MatchingConfig())
     labels = matcher._label(model)
@@ -36,7 +36,7 @@ def test_a_chain_of_pixels_gets_its_least_energy(seed: int, shape: tuple[int, in
 
 
 @pytest.mark.parametrize(("height", "width"), [(6, 8), (5, 7), (1, 4), (5, 1), (1, 1)])
-def test_coarser_energy_is_that_of_labellings_constant_on_blocks(height: int, width: int) -> None:
+def test_coarser_energy_is_that_of_labelings_constant_on_blocks(height: int, width: int) -> None:
     model = random_model(1, height, width, 5)
     coarser = belief_propagation._coarser(model)
     labels = np.random.default_rng(2).integers(0, 5, coarser.data.shape[:2]).astype(np.int32)
@@ -45,14 +45,14 @@ def test_coarser_energy_is_that_of_labellings_constant_on_blocks(height: int, wi
     assert not coarser.weights[0, :, -1].any() and not coarser.weights[1, -1].any()
 
 
-def test_coarse_grids_carry_disparities_into_flat_regions() -> None:
+def test_coarse_grids_propagate_disparities_into_flat_regions() -> None:
     rng = np.random.default_rng(3)
     wall = np.full((90, 200), 128)
     wall[:, :30] = rng.integers(0, 256, (90, 30))
     wall[:, 160:] = rng.integers(0, 256, (90, 40))
     left, right = wall[:, :180].astype(np.uint8), wall[:, 9:189].astype(np.uint8)
     result = BeliefPropagationMatcher(MatchingConfig(num_disparities=32, iterations=5)).match(left, right)
-    # 65 px from the texture on either side, at 5 iterations a grid: no message comes so far on the finest one alone.
+    # 65 px from the texture on either side, 5 iterations per grid: no message travels that far on the finest one alone.
     assert np.mean(result.disparity_px[:, 9:] == 9) > 0.99
 
 

@@ -37,7 +37,7 @@ def test_cost_is_the_smaller_distance_to_the_interpolated_other_row(min_disparit
         assert costs[y, x, k] / 2 == pytest.approx(expected, abs=1e-9)
 
 
-def test_half_a_pixel_of_shift_costs_nothing_on_a_ramp() -> None:
+def test_half_a_pixel_of_shift_has_no_cost_on_a_ramp() -> None:
     x = np.arange(20)
     left = np.tile(10 * x + 5, (3, 1)).astype(np.uint8)
     right = np.tile(10 * x + 40, (3, 1)).astype(np.uint8)  # the left ramp, seen 3.5 px further to the left

@@ -23,7 +23,8 @@ from rendered_boards import (
     poses,
 )
 
-from stereo_depth_ros.calibration.boards import Board, Corners, create_board, edge_width_px
+from stereo_depth_ros.calibration.board_options import create_board
+from stereo_depth_ros.calibration.boards import Board, Corners, edge_width_px
 from stereo_depth_ros.calibration.projection import project
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import F64, U8

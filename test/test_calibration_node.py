@@ -92,6 +92,8 @@ def test_from_pictures_to_files_and_drivers(photographs: list[tuple[U8, U8]], tm
         rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
         assert rig.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=1e-3)
         assert cv2.imread(str(tmp_path / "out" / "coverage.png")) is not None
+        success, text = trigger(graph, "save")
+        assert not success and "left.yaml exists" in text and "calibration_folder, overwrite" in text
         committed = commit(graph)
         assert committed.keys() == {"left", "right"}
         np.testing.assert_array_equal(committed["right"].p, rig.right.P.ravel())
@@ -202,7 +204,7 @@ def test_a_folder_that_cannot_be_written(photographs: list[tuple[U8, U8]], tmp_p
         assert trigger(graph, "calibrate")[0]
         success, text = trigger(graph, "save")
         assert not success
-        assert "cannot be written" in text and "choose another folder" in text
+        assert "cannot write" in text and "take a folder that can be written" in text
 
 
 def test_what_is_wrong_with_pictures_is_told(photographs: list[tuple[U8, U8]]) -> None:
@@ -220,9 +222,9 @@ def test_what_is_wrong_with_pictures_is_told(photographs: list[tuple[U8, U8]]) -
     ("parameters", "text"),
     [
         ({"board_size": "9by6"}, "board size '9by6' is not columns x rows"),
-        ({"board": "circles"}, "board = 'circles' is none of"),
+        ({"board": "circles"}, "board = 'circles' is not one of"),
         ({"board_square": 25.0}, r"board_square = 25\.0 is outside"),
-        ({"lens_model": "fisheye"}, "lens_model = 'fisheye' is none of"),
+        ({"lens_model": "fisheye"}, "lens_model = 'fisheye' is not one of"),
     ],
 )
 def test_boards_that_cannot_be_end_the_start(parameters: dict[str, Any], text: str) -> None:

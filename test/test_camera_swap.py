@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Swapped cameras are told from images, and nothing else is taken for them."""
+"""Swapped cameras are detected from images, without false positives."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ def test_right_order_passes(verged_pair: tuple[U8, U8, float]) -> None:
     CameraSwapDetector(doffs_px).check(left, right)
 
 
-def test_swapped_eyes_are_refused_until_they_are_right(verged_pair: tuple[U8, U8, float]) -> None:
+def test_swapped_cameras_are_refused_until_corrected(verged_pair: tuple[U8, U8, float]) -> None:
     left, right, doffs_px = verged_pair
     order = CameraSwapDetector(doffs_px)
     for _ in range(3):
         with pytest.raises(ImageError, match=r"cameras look swapped: \d+ % .* exchange the image topics"):
             order.check(right, left)
     order.check(left, right)
-    order.check(right, left)  # once known it is not looked at again: the topics of a graph do not change by themselves
+    order.check(right, left)  # not checked again once confirmed: the topics of a graph do not change
 
 
-def test_pictures_that_show_nothing_pass_and_are_looked_at_again(verged_pair: tuple[U8, U8, float]) -> None:
+def test_undecided_images_pass_and_are_checked_again(verged_pair: tuple[U8, U8, float]) -> None:
     left, right, doffs_px = verged_pair
     order = CameraSwapDetector(doffs_px)
     for _ in range(10):
@@ -53,7 +53,7 @@ def test_pictures_that_show_nothing_pass_and_are_looked_at_again(verged_pair: tu
         order.check(right, left)
 
 
-def test_no_thread_passes_swapped_eyes_while_another_looks_at_them(
+def test_no_thread_passes_swapped_cameras_while_another_checks(
     verged_pair: tuple[U8, U8, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     left, right, doffs_px = verged_pair
@@ -103,7 +103,7 @@ def test_real_pairs(stereo_data: Path, left: str, right: str, doffs_px: float) -
 
 
 @pytest.mark.real_data
-def test_an_offset_that_lets_swapped_points_lie_in_front_is_not_refused(stereo_data: Path) -> None:
+def test_an_offset_with_swapped_points_in_front_is_not_refused(stereo_data: Path) -> None:
     """Cropped images: doffs is -31 px, so that half the scene has a depth in either order."""
     folder = stereo_data / "middlebury2014" / "Motorcycle_quarter"
     left, right = (
@@ -114,7 +114,7 @@ def test_an_offset_that_lets_swapped_points_lie_in_front_is_not_refused(stereo_d
 
 @pytest.mark.real_data
 @pytest.mark.parametrize("scene", ["Art", "Reindeer"])
-def test_infinity_far_below_zero_is_no_sign_of_swapped_eyes(stereo_data: Path, scene: str) -> None:
+def test_infinity_far_below_zero_does_not_mean_swapped_cameras(stereo_data: Path, scene: str) -> None:
     """Cropped images whose true disparities lie 67 px and more above that of infinity."""
     folder = stereo_data / "middlebury2005" / scene
     left, right = (cv2.imread(str(folder / f"view{number}.png"), cv2.IMREAD_GRAYSCALE) for number in (1, 5))

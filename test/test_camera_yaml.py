@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Camera files: a file as camera_calibration writes it, every digit, and every refusal."""
+"""Camera files: a file as written by camera_calibration, every digit, and every error."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.camera import CameraModel
-from stereo_depth_ros.core.camera_yaml import read_camera, write_camera
-from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.camera_yaml import camera_from_yaml, camera_to_yaml
+from stereo_depth_ros.core.errors import CalibrationError, OutputError
+from stereo_depth_ros.core.rig import StereoRig
 
 RIGHT_YAML = """\
 image_width: 640
@@ -44,20 +46,13 @@ projection_matrix:
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    path = tmp_path / "right.yaml"
-    path.write_text(RIGHT_YAML)
-    return path
-
-
-@pytest.fixture
 def camera() -> CameraModel:
     values = np.random.default_rng(5).normal(size=(30,)) * 10.0 ** np.arange(-15, 15)
     return CameraModel(752, 480, "equidistant", values[:9], values[:4] / 3, values[9:18], values[18:])
 
 
-def test_file_of_camera_calibration(path: Path) -> None:
-    camera = read_camera(path)
+def test_file_of_camera_calibration() -> None:
+    camera = camera_from_yaml(RIGHT_YAML)
     assert (camera.width, camera.height, camera.distortion_model, camera.frame_id) == (640, 480, "plumb_bob", "")
     np.testing.assert_array_equal(camera.K, [[537.5, 0, 326.2], [0, 536.1, 249.7], [0, 0, 1]])
     np.testing.assert_array_equal(camera.D, [-0.28, 0.07, 1e-5, -2.5e-4, 0])
@@ -65,19 +60,17 @@ def test_file_of_camera_calibration(path: Path) -> None:
     np.testing.assert_array_equal(camera.P, [[500, 0, 320, -41.6], [0, 500, 240, 0], [0, 0, 1, 0]])
 
 
-def test_written_is_read_to_the_last_bit(camera: CameraModel, tmp_path: Path) -> None:
-    write_camera(tmp_path / "left.yaml", camera, "left")
-    copy = read_camera(str(tmp_path / "left.yaml"))
+def test_written_is_read_to_the_last_bit(camera: CameraModel) -> None:
+    copy = camera_from_yaml(camera_to_yaml(camera, "left"))
     assert (copy.width, copy.height, copy.distortion_model) == (752, 480, "equidistant")
     for name in ("K", "D", "R", "P"):
         np.testing.assert_array_equal(getattr(copy, name), getattr(camera, name))
 
 
-def test_other_readers_see_numbers(camera: CameraModel, tmp_path: Path) -> None:
+def test_other_readers_see_numbers(camera: CameraModel) -> None:
     """ROS reads with YAML 1.1, where 1e-05 without a point would be a text."""
     yaml = pytest.importorskip("yaml")
-    write_camera(tmp_path / "left.yaml", camera, "narrow/left")
-    entries = yaml.safe_load((tmp_path / "left.yaml").read_text())
+    entries = yaml.safe_load(camera_to_yaml(camera, "narrow/left"))
     assert list(entries) == list(yaml.safe_load(RIGHT_YAML))
     assert entries["camera_name"] == "narrow/left"
     assert entries["projection_matrix"] == {"rows": 3, "cols": 4, "data": camera.P.ravel().tolist()}
@@ -91,21 +84,27 @@ def test_other_readers_see_numbers(camera: CameraModel, tmp_path: Path) -> None:
         ("537.5,", "", "right.yaml: K has 8 values, it takes 3 x 3"),
         ("537.5", "wide", "right.yaml: a value is not a number.*wide"),
         ("image_width: 640", "image_width: [640]", "right.yaml: a value is not a number"),
-        ("camera_matrix:", "camera_matrix: !!opencv-matrix", "right.yaml: is no plain YAML .*opencv-matrix"),
+        ("camera_matrix:", "camera_matrix: !!opencv-matrix", "right.yaml: is not plain YAML .*opencv-matrix"),
         (RIGHT_YAML, "", "right.yaml: a value is not a number or a list"),
     ],
 )
-def test_refused_files(path: Path, old: str, new: str, match: str) -> None:
-    path.write_text(RIGHT_YAML.replace(old, new))
+def test_refused_files(tmp_path: Path, old: str, new: str, match: str) -> None:
+    text = RIGHT_YAML.replace(old, new)
+    with pytest.raises(CalibrationError, match=f"^{match}") as caught:
+        camera_from_yaml(text, "right.yaml")
+    assert caught.value.subject == "right.yaml"
+    assert caught.value.remedy
+    (tmp_path / "left.yaml").write_text(RIGHT_YAML)
+    (tmp_path / "right.yaml").write_text(text)
     with pytest.raises(CalibrationError, match=match):
-        read_camera(path)
+        StereoRig.from_yaml(tmp_path / "left.yaml", str(tmp_path / "right.yaml"))
 
 
 def test_files_that_cannot_be_opened(camera: CameraModel, tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r"none\.yaml: cannot be read .*No such file"):
-        read_camera(tmp_path / "none.yaml")
+        StereoRig.from_yaml(tmp_path / "none.yaml", tmp_path / "none.yaml")
     (tmp_path / "image.yaml").write_bytes(b"\xff\xd8\xff\xe0")
-    with pytest.raises(CalibrationError, match=r"image\.yaml: is no plain YAML"):
-        read_camera(tmp_path / "image.yaml")
-    with pytest.raises(CalibrationError, match=r"left\.yaml: cannot be written"):
+    with pytest.raises(CalibrationError, match=r"image\.yaml: is not plain YAML"):
+        StereoRig.from_yaml(tmp_path / "image.yaml", tmp_path / "image.yaml")
+    with pytest.raises(OutputError, match=r"cannot write .*left\.yaml: No such file"):
         write_camera(tmp_path / "none" / "left.yaml", camera, "left")

@@ -120,7 +120,7 @@ def test_costs_computed_by_hand() -> None:
     np.testing.assert_array_equal(costs(left.T.copy(), right.T.copy(), 0, 1)[:, 0, 0], [1, 4, 7])
 
 
-def test_costs_are_bounded_by_the_bits_and_go_on_outside() -> None:
+def test_costs_are_bounded_by_the_bits_and_continue_outside() -> None:
     left = np.zeros((4, 20), np.uint64)
     right = np.full((4, 20), (1 << CENSUS_BITS) - 1, np.uint64)
     cost = costs(left, right, 31, 32)

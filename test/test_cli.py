@@ -16,8 +16,8 @@ import pytest
 from stereo_bags import PARAMETERS, messages_of, write_odd_bag, write_truth_bag
 
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.replay import graph_processes as graph_runner
 
@@ -104,7 +104,7 @@ def test_known_errors_are_one_line_and_exit_code_1(run: Run, bag: Path, tmp_path
     code, out, err = run("info", tmp_path / "none.mcap")
     assert (code, out) == (1, "")
     assert err.startswith("error: ") and "none.mcap: does not exist" in err and err.count("\n") == 1
-    assert "is the bag that is read" in run("process", bag, "-o", bag)[2]
+    assert "is read by this command: write to another file" in run("process", bag, "-o", bag)[2]
     assert "does not end in .mcap" in run("process", bag, "-o", tmp_path / "o.bag")[2]
     assert "did you mean 'speckle_size'" in run("process", bag, "-o", tmp_path / "o.mcap", "-p", "speckle_siz:=3")[2]
     assert "cannot write" in run("parameters", "--json", tmp_path / "none" / "p.json")[2]
@@ -140,7 +140,7 @@ def test_synthesize_and_convert_write_bags(run: Run, tmp_path: Path) -> None:
     assert code == 0 and "1 pairs written" in err
     assert len(messages_of(made, "/truth/disparity")) == 1
     code, _, err = run("synthesize", made, "--frames", "1", "--width", "64", "--height", "48")
-    assert code == 1 and "room.mcap: already exists" in err
+    assert code == 1 and "room.mcap exists" in err
     code, _, err = run("convert", "kitti", tmp_path, tmp_path / "k.mcap")
     assert code == 1 and "is not a KITTI folder" in err
 
@@ -181,7 +181,7 @@ def test_demo_plays_the_sample_bag_and_names_bag_and_picture(
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + 5 * (os.getpid() % 10) + 4))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setattr(cli, "_sample_bag", lambda: bag)
+    monkeypatch.setattr("stereo_depth_ros.cli.demo._sample_bag", lambda: bag)
     code, out, err = run("demo", "--output-dir", tmp_path / "out")
     assert code == 0, err
     assert len(messages_of(tmp_path / "out" / "demo.mcap", "/points2")) == 2

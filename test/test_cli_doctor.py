@@ -183,7 +183,7 @@ def test_images_that_cannot_be_decoded(run: Run, tmp_path: Path) -> None:
 
     code, found = findings(run, variant(tmp_path / "odd.mcap", odd, frames=2))
     assert code == 1
-    assert "encoding = 'magic' is not read" in found["images of /left/image_raw"]["value"]
+    assert "encoding = 'magic' is not supported" in found["images of /left/image_raw"]["value"]
     assert found["images"]["level"] == "left_out"
 
 

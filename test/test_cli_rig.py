@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.plots.depth_error import depth_error_plot
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A result is a snapshot: its confidence is of the disparities that it was returned with, whatever comes after."""
+"""The confidence of a result is that of the disparities it was returned with, independent of later calls."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def confidence_of(result: MatchResult) -> F32:
 
 
 @pytest.mark.parametrize(("name", "fill_holes"), [*((name, False) for name in NAMES), *FILLED])
-def test_it_stays_when_buffers_are_used_again(name: str, fill_holes: bool) -> None:
+def test_confidence_is_unchanged_when_buffers_are_reused(name: str, fill_holes: bool) -> None:
     if name == "graph_cut":
         pytest.importorskip("maxflow")
     fields = {"num_disparities": 32, "iterations": 2, "fill_holes": fill_holes}
@@ -60,7 +60,7 @@ def test_it_stays_when_buffers_are_used_again(name: str, fill_holes: bool) -> No
 
 
 @pytest.mark.parametrize(("name", "fill_holes"), [*((name, False) for name in NAMES), *FILLED])
-def test_what_the_stage_takes_out_has_none(name: str, fill_holes: bool) -> None:
+def test_rejected_pixels_have_no_confidence(name: str, fill_holes: bool) -> None:
     if name == "graph_cut":
         pytest.importorskip("maxflow")
     rig = turned_rig()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters: defaults of the contract, and every check that refuses a value."""
+"""Parameters: defaults of the contract, and every check of a value."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CONTRACT = {
     "P1": (200.0, 0.0, 4000.0, None),
     "P2": (400.0, 0.0, 4000.0, None),
 }
-# Where this package differs: more methods and a better one by default, smaller windows, penalties from the window.
+# Differences of this package: more methods, another default, smaller windows, penalties from the window area.
 WIDER = {
     "stereo_algorithm": (2, 0, 10, None),
     "correlation_window_size": (15, 1, 255, 2),
@@ -69,7 +69,7 @@ def test_other_parameters_of_the_contract() -> None:
     }
 
 
-def test_names_are_unique_over_all_stages_and_every_one_is_explained() -> None:
+def test_names_are_unique_over_all_stages_and_documented() -> None:
     infos = [info for config in CONFIGS.values() for info in parameter_infos(config)]
     assert len({info.name for info in infos}) == len(infos)
     assert all(info.doc.endswith(".") for info in infos)
@@ -78,9 +78,9 @@ def test_names_are_unique_over_all_stages_and_every_one_is_explained() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"disparity_range": 70}, r"disparity_range = 70 is not 32 plus a multiple of 16: take 64 or 80"),
+        ({"disparity_range": 70}, r"disparity_range = 70 is not 32 plus a multiple of 16: use 64 or 80"),
         ({"disparity_range": 16}, r"disparity_range = 16 is outside 32\.\.4096"),
-        ({"correlation_window_size": 14}, r"correlation_window_size = 14 .* take 13 or 15"),
+        ({"correlation_window_size": 14}, r"correlation_window_size = 14 .* use 13 or 15"),
         ({"uniqueness_ratio": float("nan")}, r"uniqueness_ratio = nan"),
         ({"P1": "200"}, r"P1 = '200' is str, it takes float"),
         ({"stereo_algorithm": True}, r"stereo_algorithm = True is bool, it takes int"),
@@ -88,17 +88,20 @@ def test_names_are_unique_over_all_stages_and_every_one_is_explained() -> None:
         ({"stereo_algorithm": 1, "P1": 500.0, "P2": 400.0}, r"P2 = 400 is not above P1 = 500: raise P2 or lower P1"),
     ],
 )
-def test_refused_values_name_value_limit_and_remedy(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
+def test_errors_name_value_limit_and_remedy(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
         replace_checked(MatchingConfig(), changes)
+    assert caught.value.value in (*changes, *changes.values()) or caught.value.value != caught.value.value  # NaN
+    assert caught.value.limit is not None
+    assert caught.value.remedy
 
 
-def test_choices_are_refused_by_name() -> None:
-    with pytest.raises(ConfigError, match=r"depth_encoding = '8UC1' is none of 32FC1, 16UC1"):
+def test_choices_are_named() -> None:
+    with pytest.raises(ConfigError, match=r"depth_encoding = '8UC1' is not one of 32FC1, 16UC1"):
         DepthConfig(depth_encoding="8UC1")
 
 
-def test_whole_numbers_serve_as_floats_and_both_names_are_keys() -> None:
+def test_integers_are_accepted_as_floats_and_both_names_as_keys() -> None:
     config = replace_checked(MatchingConfig(), {"P1": 8, "disparity_range": 96})
     assert (config.P1, type(config.P1), config.num_disparities) == (8.0, float, 96)
     assert replace_checked(config, {"num_disparities": 48, "min_disparity": -16}).max_disparity == 31

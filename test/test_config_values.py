@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters as texts and files, and what is refused of them."""
+"""Parameters as texts and files, and their errors."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def test_assignments_become_values_of_the_parameters_types() -> None:
     [
         (["disparity_range=128"], None, "'disparity_range=128' is not of the form name:=value"),
         (["disparity_rang:=128"], None, "unknown parameter 'disparity_rang': did you mean 'disparity_range'"),
-        (["zzz:=1"], None, "unknown parameter 'zzz': `stereo-depth parameters` lists all"),
-        (["disparity_range:=130"], None, "disparity_range = 130 .* take 128 or 144"),
-        (["disparity_range:=[1"], None, r"disparity_range: '\[1' is no value"),
-        ([], "census", "matcher 'census' is none of bm, sgbm"),
+        (["zzz:=1"], None, "unknown parameter 'zzz': see the table of parameters"),
+        (["disparity_range:=130"], None, "disparity_range = 130 .* use 128 or 144"),
+        (["disparity_range:=[1"], None, r"disparity_range: '\[1' is not a value"),
+        ([], "census", "matcher 'census' is not one of bm, sgbm"),
     ],
 )
-def test_what_cannot_be_a_parameter_is_refused(texts: list[str], matcher: str | None, message: str) -> None:
+def test_errors_of_assignments(texts: list[str], matcher: str | None, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         parse_assignments(texts, matcher)
 
@@ -53,7 +53,7 @@ def test_generated_parameter_file_holds_the_defaults(tmp_path: Path) -> None:
     assert pipeline_config(read_params_file(path)) == pipeline_config({})
 
 
-def test_sections_of_several_nodes_come_together(tmp_path: Path) -> None:
+def test_sections_of_several_nodes_are_merged(tmp_path: Path) -> None:
     path = tmp_path / "nodes.yaml"
     path.write_text(
         "disparity_node:\n  ros__parameters: {disparity_range: 96, use_sim_time: true}\n"
@@ -66,14 +66,15 @@ def test_sections_of_several_nodes_come_together(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("disparity_range: 64\n", "is not a parameter file: write node names"),
-        ("/**: [", "is not a parameter file: while parsing"),
-        ("/**:\n  ros__parameters: {speckle: 3}\n", "unknown parameter 'speckle'"),
+        ("/**: [", r"is not a parameter file \(while parsing"),
+        ("/**:\n  ros__parameters: {speckle: 3}\n", "unknown parameter 'speckle': did you mean 'speckle_size'"),
     ],
 )
-def test_file_that_is_refused_is_named(tmp_path: Path, text: str, message: str) -> None:
+def test_errors_name_the_file(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "p.yaml"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(ConfigError, match=rf"p\.yaml: {message}") as caught:
         read_params_file(path)
-    with pytest.raises(ConfigError, match=r"none\.yaml is not a parameter file: .*No such file"):
+    assert caught.value.subject == str(path)
+    with pytest.raises(ConfigError, match=r"none\.yaml: is not a parameter file \(.*No such file"):
         read_params_file(tmp_path / "none.yaml")

@@ -60,12 +60,12 @@ def test_sigma_is_the_derivative_of_depth(rig: StereoRig) -> None:
     assert np.isnan(sigma_m[0, 2])
 
 
-def test_millimetres_round_and_are_zero_where_there_is_none() -> None:
+def test_millimeters_are_rounded_and_zero_where_invalid() -> None:
     depth_m = np.array([[1.2344, 1.2346, np.nan, 65.535, 65.536, np.inf]], np.float32)
     assert millimeters(depth_m).tolist() == [[1234, 1235, 0, 65535, 0, 0]]
 
 
-def test_what_is_not_in_front_of_the_cameras_is_rejected_with_its_reason() -> None:
+def test_points_behind_the_cameras_are_rejected_with_a_reason() -> None:
     disparity_px = np.array([[-1.0, 3.0, 3.0625, np.nan]], np.float32)
     reasons = np.array([[0, 0, 0, Reason.TEXTURE]], np.uint8)
     reject_behind(disparity_px, reasons, 3.0)

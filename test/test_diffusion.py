@@ -142,7 +142,7 @@ def test_bayesian_fills_a_flat_patch_and_keeps_a_step_sharp() -> None:
     np.testing.assert_allclose(result.disparity_px[20:40, 102:], 6, atol=0.5)
 
 
-def test_checks_mark_what_the_right_eye_does_not_see() -> None:
+def test_checks_mark_occlusions() -> None:
     rng = np.random.default_rng(9)
     right = rng.integers(0, 240, (60, 140)).astype(np.uint8)
     left = np.roll(right, 6, 1)
@@ -174,7 +174,7 @@ def test_refused() -> None:
     assert create_matcher("diffusion", **UNCHECKED).match(*noisy_pair(9, 40, 3), out).disparity_px is out
 
 
-def test_brightness_that_differs_smoothly_does_not_matter() -> None:
+def test_smooth_photometric_differences_do_not_matter() -> None:
     left, right = noisy_pair(60, 150, 7)
     left, right = (cv2.GaussianBlur(image, (0, 0), 1.5) for image in (left, right))  # contrasts below the noise's sigma
     brighter = np.clip(left + np.linspace(6, 14, 150), 0, 255).astype(np.uint8)

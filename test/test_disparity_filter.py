@@ -23,7 +23,7 @@ def median_slowly(disparity_px: F32) -> F32:
     return result
 
 
-def test_neighbourhoods_computed_by_hand() -> None:
+def test_neighborhoods_computed_by_hand() -> None:
     disparity_px = np.array([[9, 1, NAN, 8], [2, 7, NAN, NAN], [3, 4, 5, NAN]], np.float32)
     DisparityFilter("median", 1 / 64)(disparity_px)
     # Bottom row: the lower of 2 3 4 7, 4 of 2 3 4 5 7, 5 of 4 5 7; the 8 is alone.
@@ -56,7 +56,7 @@ def mean_slowly(disparity_px: F32) -> F32:
 
 
 @pytest.mark.parametrize("cores", [1, 2, 3])
-def test_mean_is_that_of_like_neighbours(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mean_is_that_of_similar_neighbors(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "core_count", lambda: cores)
     mean_filter = DisparityFilter("mean", 1 / 64)
     rng = np.random.default_rng(cores)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The published convention: shifted once, invalid below the minimum, a window of the real size."""
+"""The published convention: shifted once, invalid below the minimum, window of the actual size."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_padded_big_endian_disparities_are_read() -> None:
         ({"data": bytes(20)}, r"disp: 20 bytes, step x height is 24"),
     ],
 )
-def test_contradictions_are_refused(changes: dict[str, Any], text: str) -> None:
+def test_contradictory_fields(changes: dict[str, Any], text: str) -> None:
     fields = {"encoding": "32FC1", "width": 3, "height": 2, "step": 12, "is_bigendian": 0, "data": bytes(24)} | changes
     with pytest.raises(MessageError, match=text):
         published_disparity(SimpleNamespace(image=SimpleNamespace(**fields), f=400.0, t=0.1, min_disparity=0.0), "disp")
@@ -118,7 +118,7 @@ def test_no_focal_length_and_other_calibrations_are_refused(message: Any, rig: S
     with pytest.raises(MessageError, match=r"f = 0.0, T = 0.12, both must be positive"):
         published_disparity(message)
     message.f = 500.0
-    with pytest.raises(MessageError, match=r"f = 500 px, T = 0.12 m, the camera infos say 410 px"):
+    with pytest.raises(MessageError, match=r"f = 500 px, T = 0.12 m, the camera infos have 410 px"):
         published_triangulation(message, rig)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The disparity stage: the matcher's disparities, less those that a raw camera did not see."""
+"""Disparity stage: the disparities of the matcher, without those of unseen pixels."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def offset_rig() -> StereoRig:
 
 
 def seen(offset: tuple[int, int], support_px: tuple[int, int]) -> np.ndarray:
-    """bool (H, W), where the whole support lies in what the raw camera saw."""
+    """bool (H, W), where the whole support is in the valid pixels."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     inside = np.ones((HEIGHT, WIDTH), bool)
     for place, moved, size, support in ((x, offset[0], WIDTH, support_px[0]), (y, offset[1], HEIGHT, support_px[1])):
@@ -55,10 +55,13 @@ def textured_pair() -> tuple[U8, U8]:
 
 
 @pytest.mark.parametrize(
-    ("matcher", "fill_holes", "support_px"), [("sgm", False, (9, 7)), ("sgm", True, (9, 7)), ("window", False, (5, 5))]
+    ("matcher", "fill_holes", "support_px"),
+    [("sgm", False, (9, 7)), ("sgm", True, (9, 7)), ("window", False, (5, 5))],
 )
-def test_a_disparity_takes_both_raw_cameras(matcher: str, fill_holes: bool, support_px: tuple[int, int]) -> None:
-    """Each its own: what the left one did not see, what the right one did not see, and what is beside its image."""
+def test_a_disparity_needs_valid_pixels_of_both_cameras(
+    matcher: str, fill_holes: bool, support_px: tuple[int, int]
+) -> None:
+    """Rejected separately: unseen in the left image, unseen in the right image, and outside the right image."""
     config = MatchingConfig(
         stereo_algorithm=matcher_number(matcher),
         num_disparities=32,

@@ -55,7 +55,7 @@ CALIBRATION_FAULTS = {
         lambda info: replace(info, distortion_model="fov"),
         as_is,
         "left distortion",
-        "'fov' is none of plumb_bob",
+        "'fov' is not one of plumb_bob",
         "calibrate with one of them",
     ),
     "coefficients": (as_is, entries("d", lambda d: d[:3]), "right distortion", "D has 3 coefficients", "set as many"),
@@ -66,7 +66,7 @@ CALIBRATION_FAULTS = {
     "cy": (as_is, times("p", 6, 1.02), "cy of P", "243.27 px in right camera", "calibrate both cameras together"),
     "vertical": (as_is, put("p", 7, 41.7), "right P[1,3]", "vertical baseline of 0.0999", "rotate the images"),
     "sign": (as_is, times("p", 3, -1), "right P[0,3]", "51.6233 is positive", "the sign is wrong"),
-    "no baseline": (as_is, put("p", 3, 0.0), "right P[0,3]", "is no baseline", "calibrate both cameras together"),
+    "no baseline": (as_is, put("p", 3, 0.0), "right P[0,3]", "is not a baseline", "calibrate both cameras together"),
     "millimeters": (
         as_is,
         times("p", 3, 1000),

@@ -140,7 +140,7 @@ def test_images_that_cannot_be_decoded_are_told(camera: StereoCamera) -> None:
         setup = survey_graph(LEFT, RIGHT, 0.5)
     assert not setup.pairs
     assert [finding.check for finding in setup.findings] == ["images"], "the first error stands for all"
-    assert "encoding = 'magic' is not read" in setup.findings[0].value
+    assert "encoding = 'magic' is not supported" in setup.findings[0].value
 
 
 def test_the_command_listens_and_names_the_images_that_are_there(

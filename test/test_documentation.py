@@ -1,17 +1,25 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter file and the README's tables say what the code says."""
+"""Generated files agree with the code, what the documents name exists, and none of the tools is distributed."""
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
-import documentation
+import parameter_tables
 import pytest
-from documentation import render_files, render_table, render_yaml, replace_section, write_files
+from architecture import ORDER, part_of, read_imports, render_files, render_tree, role
+from documentation import render_all, replace_section, write_all
+from drawing import draw_imports, render_drawing
+from parameter_tables import render_matcher_table, render_parameter_table, render_yaml
 from ruamel.yaml import YAML
 
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
+from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.core.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,11 +29,16 @@ def all_infos() -> list[ParameterInfo]:
     return [info for config in CONFIGS.values() for info in parameter_infos(config)]
 
 
-def test_files_have_not_drifted() -> None:
-    assert (ROOT / "config" / "stereo_depth.yaml").read_text("utf-8") == render_yaml(), "run `make config`"
-    readme = (ROOT / "README.md").read_text("utf-8")
-    assert replace_section(readme, "parameters", render_table()) == readme, "run `make config`"
-    assert replace_section(readme, "files", render_files(ROOT)) == readme, "run `make config`"
+GENERATED = ("config/stereo_depth.yaml", "README.md", "docs/ARCHITECTURE.md", "docs/architecture.svg")
+
+
+@pytest.mark.parametrize("path", GENERATED)
+def test_generated_files_have_not_drifted(path: str) -> None:
+    assert (ROOT / path).read_text("utf-8") == render_all(ROOT)[path], f"{path} is out of date: run `make config`"
+
+
+def test_all_generated_files_are_compared() -> None:
+    assert set(render_all(ROOT)) == set(GENERATED)
 
 
 def test_yaml_holds_every_default_with_its_type() -> None:
@@ -50,19 +63,19 @@ def test_yaml_says_sentence_range_and_unit() -> None:
 
 
 def test_table_has_one_row_a_parameter() -> None:
-    rows = render_table().splitlines()[2:]
+    rows = render_parameter_table().splitlines()[2:]
     assert len(rows) == len(all_infos())
     for row, info in zip(rows, all_infos(), strict=True):
         assert f"| `{info.name}` |" in row
         assert info.doc in row
-    texture = "| matching | `texture_threshold` | int | `10` | 0 to 10000 | Least sum of prefiltered gradient"
+    texture = "| matching | `texture_threshold` | int | `10` | 0 to 10000 | Minimum sum of absolute prefilter"
     assert any(row.startswith(texture) for row in rows)
 
 
 def test_table_escapes_bars(monkeypatch: pytest.MonkeyPatch) -> None:
     info = ParameterInfo(name="a", field="a", type=int, default=1, doc="this | that")
-    monkeypatch.setattr(documentation, "parameter_infos", lambda stage: [info])
-    assert "| this \\| that |" in render_table()
+    monkeypatch.setattr(parameter_tables, "parameter_infos", lambda stage: [info])
+    assert "| this \\| that |" in render_parameter_table()
 
 
 def test_replace_section_keeps_what_is_around() -> None:
@@ -86,16 +99,100 @@ def test_replace_section_wants_one_pair_of_markers(text: str) -> None:
         replace_section(text, "x", "new")
 
 
-README = "# R\n<!-- parameters:begin -->\n<!-- parameters:end -->\n<!-- files:begin -->\n<!-- files:end -->\n"
+def test_matcher_table_has_one_row_a_matcher() -> None:
+    rows = render_matcher_table().splitlines()[2:]
+    for number, (row, info) in enumerate(zip(rows, MATCHERS.values(), strict=True)):
+        assert row == f"| {number} | `{info.name}` | {info.sentence} | {info.uniqueness or 'no effect'} |"
+    assert rows[2].startswith("| 2 | `sgm` | The default: ") and "a third of it" in rows[2]
+    assert rows[7].endswith("| no effect |")
 
 
-def test_write_files(tmp_path: Path) -> None:
-    (tmp_path / "config").mkdir()
-    (tmp_path / "README.md").write_text(README)
-    (tmp_path / "stereo_depth_ros").mkdir()
-    (tmp_path / "stereo_depth_ros" / "one.py").write_text('"""Says one thing.\n\nMore of it."""\n')
-    write_files(tmp_path)
+def source_tree(root: Path) -> Path:
+    """A tree with all declared packages and the places for generated text."""
+    for part in ORDER:
+        path = root / "stereo_depth_ros" / (f"{part}.py" if part in ("pipeline", "outputs") else f"{part}/__init__.py")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f'"""Role of {part}.\n\nMore of it."""\n')
+    (root / "stereo_depth_ros" / "plots" / "two.py").write_text("import stereo_depth_ros.core\n")
+    (root / "config").mkdir()
+    (root / "docs").mkdir()
+    for path, names in (("README.md", ("matchers", "parameters")), ("docs/ARCHITECTURE.md", ("tree", "files"))):
+        (root / path).write_text("# T\n" + "".join(f"<!-- {name}:begin -->\n<!-- {name}:end -->\n" for name in names))
+    return root
+
+
+def test_tree_has_the_declared_order_and_the_roles_of_the_docstrings(tmp_path: Path) -> None:
+    rows = render_tree(source_tree(tmp_path)).splitlines()[2:]
+    assert rows[:2] == ["| `core/` | Role of core. |", "| `files/` | Role of files. |"]
+    assert "| `pipeline.py` | Role of pipeline. |" in rows
+    assert len(rows) == len(ORDER)
+
+
+def test_every_module_has_a_role() -> None:
+    assert not [path for path in (ROOT / "stereo_depth_ros").rglob("*.py") if not role(path).endswith(".")]
+
+
+def test_files_without_a_docstring_are_not_listed(tmp_path: Path) -> None:
+    text = render_files(source_tree(tmp_path))
+    assert "| `stereo_depth_ros/plots/__init__.py` | Role of plots. |" in text
+    assert "two.py" not in text
+
+
+def test_drawing_shows_every_import_once_and_right_of_the_names() -> None:
+    svg = ElementTree.fromstring(render_drawing(ROOT))
+    titles = [element.text for element in svg.iter("{http://www.w3.org/2000/svg}title")]
+    pairs = {(part_of(found.importer), part_of(found.imported)) for found in read_imports(ROOT)}
+    expected = {f"{a} imports {b}" for a, b in pairs if a and b and a != b}
+    assert sorted(title.replace(".py", "") for title in titles if title) == sorted(expected)
+
+
+def test_drawing_of_three_packages() -> None:
+    svg = ElementTree.fromstring(draw_imports(["top", "mid.py", "low"], {(0, 1), (0, 2), (1, 2)}))
+    dots = [(int(dot.get("cx", "")), int(dot.get("cy", ""))) for dot in svg.iter("{http://www.w3.org/2000/svg}circle")]
+    (x1, y0), (x2, y0_again), (x2_again, y1) = dots
+    assert (y0, x2) == (y0_again, x2_again)
+    assert x1 < x2 and y0 < y1
+    assert [text.text for text in svg.iter("{http://www.w3.org/2000/svg}text")] == ["top", "mid.py", "low"]
+
+
+def test_write_all(tmp_path: Path) -> None:
+    write_all(source_tree(tmp_path))
     assert (tmp_path / "config" / "stereo_depth.yaml").read_text() == render_yaml()
     readme = (tmp_path / "README.md").read_text()
-    assert render_table() in readme
-    assert "| `stereo_depth_ros/one.py` | Says one thing. |" in readme
+    assert render_parameter_table() in readme
+    assert render_matcher_table() in readme
+    assert "| `core/` | Role of core. |" in (tmp_path / "docs" / "ARCHITECTURE.md").read_text()
+    assert "<title>plots imports core</title>" in (tmp_path / "docs" / "architecture.svg").read_text()
+    assert render_all(tmp_path)["README.md"] == readme  # written again it stays the same
+
+
+DOCUMENTS = ("docs/ARCHITECTURE.md", "CONTRIBUTING.md")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_paths_that_the_documents_name_exist(document: str) -> None:
+    text = (ROOT / document).read_text("utf-8")
+    named = set(re.findall(r"`([\w./]+(?:\.(?:py|yaml|md)|/))`", text)) | set(re.findall(r"\]\(([^)]+)\)", text))
+    assert len(named) > 10
+    places = (ROOT, ROOT / "stereo_depth_ros", (ROOT / document).parent)
+    assert not sorted(name for name in named if not any((place / name).exists() for place in places))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_make_targets_that_the_documents_name_exist(document: str) -> None:
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    targets = set(re.findall(r"(?:`|^)make (\w+)", (ROOT / document).read_text("utf-8"), re.MULTILINE))
+    assert {"config", "test"} <= targets
+    assert not [target for target in targets if f"\n{target}:" not in makefile]
+
+
+def test_tools_are_not_distributed(tmp_path: Path) -> None:
+    """Neither as a package of the wheel nor in the source distribution."""
+    command = [sys.executable, "setup.py", "-q", "egg_info", "--egg-base", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    (info,) = tmp_path.glob("*.egg-info")
+    assert (info / "top_level.txt").read_text().split() == ["stereo_depth_ros"]
+    sources = (info / "SOURCES.txt").read_text().splitlines()
+    assert "stereo_depth_ros/core/errors.py" in sources
+    assert not [source for source in sources if source.startswith("tools")]

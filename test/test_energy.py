@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The energy against sums written out, and the model that it is made of."""
+"""The energy against explicit sums, and its model."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_model_covers_the_columns_with_a_disparity_in_the_right_image(
 
 
 @pytest.mark.parametrize("smoothness", [0.0, 0.5, 1000.0])
-def test_no_neighbours_can_make_a_pixel_leave_the_right_image(smoothness: float) -> None:
+def test_no_neighbors_make_a_pixel_leave_the_right_image(smoothness: float) -> None:
     rng = np.random.default_rng(6)
     left, right = rng.integers(0, 256, (2, 4, 50)).astype(np.uint8)
     config = MatchingConfig(num_disparities=32, smoothness=smoothness, correlation_window_size=1)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.errors import ImageError, OutputError
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.plots.curve import curve_plot
 from stereo_depth_ros.plots.drawing import enlarged, round_ticks, save_png
@@ -96,5 +96,5 @@ def test_picture_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     image = np.zeros((3, 4, 3), np.uint8)
     save_png(tmp_path / "new" / "a.png", image)
     assert cv2.imread(str(tmp_path / "new" / "a.png")).shape == (3, 4, 3)
-    with pytest.raises(ImageError, match=r"cannot write .*a\.png/b\.png: .* take a folder"):
+    with pytest.raises(OutputError, match=r"cannot write .*a\.png/b\.png: .* take a folder"):
         save_png(tmp_path / "new" / "a.png" / "b.png", image)

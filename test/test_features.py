@@ -99,7 +99,7 @@ def test_positions_are_those_of_the_spots() -> None:
 
 
 @pytest.mark.parametrize("kind", ["sift", "orb"])
-def test_a_corner_is_told_at_its_pixel_with_its_score(kind: str) -> None:
+def test_a_corner_is_at_its_pixel_with_its_score(kind: str) -> None:
     pair, features = spotted_pair(9.3, 15.8), matcher(kind)
     result, found = features.match(*pair), features.find(*pair)
     columns, rows = np.rint(found.left_xy).astype(int).T
@@ -142,7 +142,7 @@ def test_lines_have_the_disparity_of_each_row(x0: float, slope: float) -> None:
     assert len(np.unique(found.score)) == 1
 
 
-def test_line_of_the_other_contrast_is_no_match() -> None:
+def test_line_of_opposite_contrast_does_not_match() -> None:
     left, right = edge_image(90, 170, [(80, 0.2, 60, 190)]), edge_image(90, 170, [(70, 0.2, 190, 60)])
     result = matcher("lines").match(left, right)
     assert result.valid_fraction == 0
@@ -150,7 +150,7 @@ def test_line_of_the_other_contrast_is_no_match() -> None:
 
 
 @pytest.mark.parametrize("kind", ["sift", "orb"])
-def test_rows_differ_by_a_pixel_at_most_unless_asked(kind: str) -> None:
+def test_rows_differ_by_a_pixel_at_most_by_default(kind: str) -> None:
     pair = spotted_pair(12, 6, row_shift=3.0)
     features = matcher(kind)
     assert len(features.find(*pair)) < 15
@@ -187,7 +187,7 @@ def things(kind: str, *columns: int) -> U8:
 
 
 @pytest.mark.parametrize("kind", ["sift", "lines"])
-def test_what_is_there_twice_is_not_unique(kind: str) -> None:
+def test_repeated_features_are_not_unique(kind: str) -> None:
     left, right = things(kind, 100), things(kind, 96, 70)
     result = matcher(kind).match(left, right)
     assert result.valid_fraction == 0
@@ -277,7 +277,7 @@ def test_created_by_name() -> None:
 
 
 def test_refused_parameters() -> None:
-    with pytest.raises(ConfigError, match="parameter feature_type = 'surf' is none of sift, orb, lines: take one"):
+    with pytest.raises(ConfigError, match="parameter feature_type = 'surf' is not one of sift, orb, lines: use one"):
         matcher("surf")
     with pytest.raises(ConfigError, match=r"disparities 2032\.\.2063 are searched.*change min_disparity"):
         matcher("sift", min_disparity=2032)

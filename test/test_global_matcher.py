@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What scanline, graph_cut and belief_propagation promise alike, on surfaces known in advance and on real pairs."""
+"""Common properties of scanline, graph_cut and belief_propagation, on known surfaces and on real pairs."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_disparities_of_two_surfaces(method: str, far: int, near: int, min_dispa
     assert np.mean(wrong) < 0.005
 
 
-def test_left_right_check_takes_out_what_the_right_eye_does_not_see(method: str) -> None:
+def test_left_right_check_rejects_occlusions(method: str) -> None:
     left, right, disparity = two_surfaces(4, 13)
     fields = {"num_disparities": 32, "speckle_size": 0}
     result = create_matcher(method, disp12_max_diff=1, **fields).match(left, right)
@@ -130,7 +130,7 @@ def test_speckles_are_removed(method: str) -> None:
     assert np.mean(wall_alone.reasons[13:22, 52:76] == Reason.SPECKLE) > 0.9
 
 
-def test_smoothness_removes_what_is_small(method: str) -> None:
+def test_smoothness_removes_small_structures(method: str) -> None:
     left, right, _ = two_surfaces(4, 13)
     weak, strong = (
         create_matcher(method, num_disparities=32, speckle_size=0, smoothness=value).match(left, right)
@@ -141,7 +141,7 @@ def test_smoothness_removes_what_is_small(method: str) -> None:
 
 
 def test_smoothness_below_the_unit_of_costs_is_refused(method: str) -> None:
-    with pytest.raises(ConfigError, match=r"smoothness = 0.25 is below 0.5 .* take 0.5 or more"):
+    with pytest.raises(ConfigError, match=r"smoothness = 0.25 is below 0.5 .* use 0.5 or more"):
         create_matcher(method, smoothness=0.25)
 
 
@@ -161,7 +161,7 @@ def test_images_are_checked(method: str) -> None:
         matcher.match(image, image, np.empty((40, 60)))  # type: ignore[arg-type]
 
 
-def test_lead_compares_the_label_with_the_best_that_is_no_neighbour() -> None:
+def test_margin_compares_the_label_with_the_best_that_is_not_adjacent() -> None:
     data = np.empty((4, 5, 6), np.int32)
     data[:] = [8, 3, 1, 0, 24, 90]
     model = StereoModel(data, np.zeros((2, 4, 5), np.int32), 2, 24)
@@ -205,7 +205,7 @@ def labels_inside(disparity_px: F32) -> I32:
 
 
 @pytest.mark.real_data
-def test_energy_ends_below_that_of_local_and_scanline_methods(stereo_data: Path) -> None:
+def test_final_energy_is_below_that_of_local_and_scanline_methods(stereo_data: Path) -> None:
     pytest.importorskip("maxflow")
     of = middlebury2001.scene("tsukuba", stereo_data)
     model = stereo_model(of.left, of.right, MatchingConfig(num_disparities=32))
@@ -223,9 +223,7 @@ def test_energy_ends_below_that_of_local_and_scanline_methods(stereo_data: Path)
 
 @pytest.mark.real_data
 @pytest.mark.parametrize(("method", "limit"), [("scanline", 4.0), ("belief_propagation", 5.0)])
-def test_constants_also_hold_where_the_cameras_differ_in_brightness(
-    method: str, limit: float, stereo_data: Path
-) -> None:
+def test_constants_hold_with_photometric_differences(method: str, limit: float, stereo_data: Path) -> None:
     # With gray values as they are, 8.2 and 8.6 % are wrong.
     of = middlebury2001.part(middlebury2001.scene("Baby1", stereo_data), slice(100, 200))
     fields = {"num_disparities": of.num_disparities, "speckle_size": 0, "fill_holes": True}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Expansion moves against all moves tried out, and the energy as it falls."""
+"""Expansion moves against exhaustive search, and the decrease of the energy."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_expansion_is_the_best_of_all_choices(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_energy_falls_with_every_move_to_where_no_move_lowers_it(seed: int) -> None:
+def test_energy_decreases_until_no_move_lowers_it(seed: int) -> None:
     model = random_model(seed, 7, 5)
     matcher = GraphCutMatcher(MatchingConfig(iterations=50))
     labels = matcher._label(model)
@@ -66,7 +66,7 @@ def test_iterations_are_cycles_through_the_disparities() -> None:
     assert energies[1][-1] > energies[2][-1] >= energies[0][-1]
 
 
-def test_without_maxflow_the_error_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_maxflow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "maxflow", None)
     with pytest.raises(ConfigError, match=r"graph_cut needs PyMaxflow.*pip install PyMaxflow"):
         create_matcher("graph_cut")

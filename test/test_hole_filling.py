@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hole filling of rows worked out by hand, and against a slow search for the neighbors."""
+"""Hole filling of rows computed by hand, and against a slow search for the neighbors."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_holes_of_a_row(row: list[float], expected: list[float]) -> None:
     assert (reasons == 0).all()
 
 
-def test_empty_rows_take_the_nearest_row() -> None:
+def test_empty_rows_are_copied_from_the_nearest_row() -> None:
     empty = [NAN] * 3
     disparity_px, reasons = filled([empty, [NAN, 4, 2], empty, empty, empty, [8, NAN, 6], empty])
     first, second = [4, 4, 2], [8, 6, 6]  # holes of a row are filled before others take it
@@ -58,7 +58,7 @@ def test_empty_rows_take_the_nearest_row() -> None:
     assert (reasons == 0).all()
 
 
-def test_row_halfway_takes_the_one_above() -> None:
+def test_row_halfway_is_copied_from_above() -> None:
     disparity_px, _ = filled([[1, 2], [NAN, NAN], [3, 4]])
     np.testing.assert_array_equal(disparity_px[1], [1, 2])
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Image messages: every encoding against pixels made by hand, every refusal, round trips in both message families."""
+"""Image messages: every encoding against known pixels, every error, round trips in both message families."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_8_bit_samples_keep_their_values_and_order(
 @pytest.mark.parametrize(("bigendian", "dtype"), [(0, "<u2"), (1, ">u2")])
 @pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
 def test_16_bit_is_rounded_to_8_in_either_byte_order(encoding: str, bigendian: int, dtype: str, padding: int) -> None:
-    # 128 / 257 rounds to 0, 129 / 257 to 1; 0x0102 and 0x0201 tell the byte orders apart.
+    # 128 / 257 rounds to 0, 129 / 257 to 1; 0x0102 and 0x0201 distinguish the byte orders.
     stored = np.array([[0, 128, 129], [0x0102, 0x0201, 40000], [65535, 65406, 257], [256, 770, 51400]])
     expected = [[0, 0, 1], [1, 2, 156], [255, 254, 1], [1, 3, 200]]
     message = _message(stored.astype(dtype), encoding, 3, 4, padding=padding, bigendian=bigendian)
@@ -118,7 +118,7 @@ def _planes(height: int, width: int) -> dict[str, Any]:
 @pytest.mark.parametrize("padding", [0, 3])
 @pytest.mark.parametrize("bits", ["8", "16 little", "16 big"])
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
-def test_bayer_mosaic_gives_its_colours_back(pattern: str, bits: str, padding: int) -> None:
+def test_bayer_mosaic_is_demosaiced(pattern: str, bits: str, padding: int) -> None:
     height, width = 9, 12
     planes = _planes(height, width)
     mosaic = np.empty((height, width), np.int64)
@@ -193,13 +193,22 @@ def test_pixels_are_contiguous_and_read_only_and_the_message_stays_writable(enco
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"encoding": "32FC1"}, r"image of /cam/left: encoding = '32FC1' is not read: publish one of mono8, .*nv21$"),
-        ({"encoding": ""}, r"image of /cam/left: encoding = '' is not read"),
-        ({"width": 0}, r"image of /cam/left: width = 0 px cannot be rgb8, .* from 1 on: check the driver"),
-        ({"height": 0}, r"image of /cam/left: height = 0 px cannot be rgb8, .* from 1 on: check the driver"),
+        (
+            {"encoding": "32FC1"},
+            r"image of /cam/left: encoding = '32FC1' is not supported: publish one of mono8, .*nv21$",
+        ),
+        ({"encoding": ""}, r"image of /cam/left: encoding = '' is not supported"),
+        (
+            {"width": 0},
+            r"image of /cam/left: width = 0 px cannot be rgb8, .* from 1 on: check the image size of the driver",
+        ),
+        (
+            {"height": 0},
+            r"image of /cam/left: height = 0 px cannot be rgb8, .* from 1 on: check the image size of the driver",
+        ),
         ({"step": 20}, r"/cam/left: step = 20 bytes is below a row of width 7 px \* 3 = 21 bytes of rgb8: set step"),
         ({"step": 0}, r"/cam/left: step = 0 bytes is below"),
-        ({"step": 22}, r"/cam/left: data has 105 bytes, step 22 \* height 5 of rgb8 takes 110: send every row whole"),
+        ({"step": 22}, r"/cam/left: data has 105 bytes, step 22 \* height 5 of rgb8 takes 110: send complete rows"),
         ({"height": 4}, r"/cam/left: data has 105 bytes, step 21 \* height 4 of rgb8 takes 84"),
         ({"data": b""}, r"/cam/left: data has 0 bytes, step 21 \* height 5 of rgb8 takes 105"),
         ({"encoding": "uyvy"}, r"width = 7 px cannot be uyvy, which takes multiples of 2 from 2 on"),
@@ -210,7 +219,7 @@ def test_pixels_are_contiguous_and_read_only_and_the_message_stays_writable(enco
         ({"encoding": "bayer_rggb16", "width": 11}, r"step = 21 bytes is below a row of width 11 px \* 2 = 22 bytes"),
     ],
 )
-def test_contradicting_fields_are_refused(change: dict[str, Any], text: str) -> None:
+def test_contradictory_fields(change: dict[str, Any], text: str) -> None:
     message = _message(_ramp(5, 7, 3), "rgb8", 7, 5)
     message.__dict__.update(change)
     with pytest.raises(MessageError, match=text):
@@ -228,7 +237,7 @@ def test_a_missing_last_padding_is_refused() -> None:
 
 
 @pytest.mark.parametrize("format", ["png", "mono8; png compressed", "mono8; png compressed ", ""])
-def test_grey_png_stays_grey(format: str) -> None:
+def test_gray_png_stays_gray(format: str) -> None:
     stored = _ramp(5, 7, 1)
     frame = decode_compressed(_compressed(_encoded(stored, ".png"), format))
     np.testing.assert_array_equal(frame.pixels, stored)
@@ -245,7 +254,7 @@ def test_grey_png_stays_grey(format: str) -> None:
         ("rgb8; png compressed rgb8", "rgb8"),
     ],
 )
-def test_colour_png_is_in_the_order_that_the_codec_was_given(format: str, encoding: str) -> None:
+def test_color_png_has_the_order_of_its_format(format: str, encoding: str) -> None:
     stored = _ramp(5, 7, 3)
     frame = decode_compressed(_compressed(_encoded(stored, ".png"), format))
     np.testing.assert_array_equal(frame.pixels, stored)
@@ -269,7 +278,7 @@ def test_16_bit_png_is_rounded_to_8(channels: int) -> None:
 
 
 @pytest.mark.parametrize("format", ["jpeg", "bgr8; jpeg compressed bgr8", "rgb8; jpeg compressed bgr8"])
-def test_colour_jpeg_is_bgr(format: str) -> None:
+def test_color_jpeg_is_bgr(format: str) -> None:
     stored = np.empty((16, 24, 3), np.uint8)
     stored[:] = (200, 120, 40)  # blue first; a flat image survives jpeg but for the rounding of its color space
     frame = decode_compressed(_compressed(_encoded(stored, ".jpg"), format))
@@ -277,7 +286,7 @@ def test_colour_jpeg_is_bgr(format: str) -> None:
     assert frame.encoding == "bgr8"
 
 
-def test_grey_jpeg_stays_grey() -> None:
+def test_gray_jpeg_stays_gray() -> None:
     y, x = np.mgrid[:16, :24]
     stored = (40 + 3 * x + 5 * y).astype(np.uint8)
     frame = decode_compressed(_compressed(_encoded(stored, ".jpg"), "mono8; jpeg compressed "))
@@ -285,7 +294,7 @@ def test_grey_jpeg_stays_grey() -> None:
     assert frame.encoding == "mono8"
 
 
-def test_compressed_bayer_mosaic_is_not_taken_for_grey() -> None:
+def test_compressed_bayer_mosaic_is_not_gray() -> None:
     planes = _planes(9, 12)
     mosaic = np.empty((9, 12), np.uint8)
     for i, color in enumerate("gbrg"):
@@ -297,7 +306,7 @@ def test_compressed_bayer_mosaic_is_not_taken_for_grey() -> None:
 
 
 @pytest.mark.parametrize("kind", ["empty", "text", "half jpeg", "jpeg without end", "half png", "float tiff"])
-def test_broken_compressed_data_is_refused(kind: str) -> None:
+def test_broken_compressed_data(kind: str) -> None:
     noise = np.random.default_rng(1).integers(0, 256, (48, 64, 3), dtype=np.uint8)
     jpeg, png = _encoded(noise, ".jpg"), _encoded(noise, ".png")
     data = {
@@ -308,14 +317,13 @@ def test_broken_compressed_data_is_refused(kind: str) -> None:
         "half png": png[: len(png) // 2],
         "float tiff": _encoded(noise[..., 0].astype(np.float32), ".tiff"),
     }[kind]
-    text = (
-        rf"^image of /cam/left/compressed: data of {len(data)} bytes with format 'jpeg' is no whole jpeg or png .*check"
-    )
+    start = rf"^image of /cam/left/compressed: data of {len(data)} bytes with format 'jpeg' "
+    text = rf"{start}is not a complete jpeg or png .*check"
     with pytest.raises(MessageError, match=text):
         decode_compressed(_compressed(data, "jpeg"), topic="/cam/left/compressed")
 
 
-def test_whole_jpeg_with_padding_behind_its_end_is_read() -> None:
+def test_jpeg_with_padding_after_its_end() -> None:
     frame = decode_compressed(_compressed(_encoded(_ramp(16, 24, 1), ".jpg") + bytes(7), "jpeg"))
     assert frame.pixels.shape == (16, 24)
 
@@ -414,7 +422,9 @@ def test_payload_of_another_size_is_refused(types: Any) -> None:
 
 
 def test_unknown_encoding_is_not_written() -> None:
-    with pytest.raises(MessageError, match="encoding = 'mono16' is not written: take one of mono8, rgb8, bgr8, 16UC1"):
+    with pytest.raises(
+        MessageError, match="encoding = 'mono16' is not supported for writing: use one of mono8, rgb8, bgr8, 16UC1"
+    ):
         image_message(RosbagsTypes(), np.zeros((3, 5), np.uint16), "mono16", 0, "l")
 
 
@@ -454,7 +464,7 @@ def test_compressed_png_round_trip(types: Any, encoding: str, channels: int, for
     assert (frame.stamp_ns, frame.frame_id) == (STAMP_NS, "left_optical")
 
 
-def test_jpeg_quality_costs_bytes_and_buys_accuracy(types: Any) -> None:
+def test_higher_jpeg_quality_is_larger_and_more_accurate(types: Any) -> None:
     pixels = cv2.GaussianBlur(np.random.default_rng(3).integers(0, 256, (48, 64), dtype=np.uint8), (0, 0), 1.5)
     sizes, errors = [], []
     for quality in (10, 90):
@@ -470,11 +480,11 @@ def test_jpeg_quality_costs_bytes_and_buys_accuracy(types: Any) -> None:
 @pytest.mark.parametrize(
     ("encoding", "format", "quality", "error", "text"),
     [
-        ("mono8", "webp", 90, MessageError, "format = 'webp' is not written: take one of jpeg, png"),
+        ("mono8", "webp", 90, MessageError, "format = 'webp' is not supported for writing: use one of jpeg, png"),
         ("mono8", "jpeg", 101, ConfigError, r"quality = 101 is outside 0\.\.100"),
         ("mono8", "jpeg", -1, ConfigError, r"quality = -1 is outside 0\.\.100"),
         ("bgr8", "jpeg", 90, ImageError, r"pixels are uint8 \(3, 5\), bgr8 takes uint8 \(H, W, 3\)"),
-        ("bayer_rggb8", "jpeg", 90, MessageError, "encoding = 'bayer_rggb8' is not written"),
+        ("bayer_rggb8", "jpeg", 90, MessageError, "encoding = 'bayer_rggb8' is not supported for writing"),
     ],
 )
 def test_compressed_message_refuses(encoding: str, format: Any, quality: int, error: type, text: str) -> None:
@@ -484,21 +494,23 @@ def test_compressed_message_refuses(encoding: str, format: Any, quality: int, er
 
 def test_depth_is_not_compressed() -> None:
     pixels: Any = np.zeros((3, 5), np.uint16)
-    with pytest.raises(MessageError, match="encoding = '16UC1' is not compressed: take one of mono8, rgb8, bgr8"):
+    with pytest.raises(
+        MessageError, match="encoding = '16UC1' is not supported for compression: use one of mono8, rgb8, bgr8"
+    ):
         compressed_message(RosbagsTypes(), pixels, "16UC1", "png", 0, "l")
 
 
 # -------------------------------------------------------------------------------------------------------------- gray
 
 
-def test_grey_of_grey_is_the_frame_itself() -> None:
+def test_gray_of_gray_is_the_frame_itself() -> None:
     frame = Frame(_ramp(5, 7, 1), 0, "l", "mono8")
     assert to_gray(frame) is frame.pixels
 
 
 @pytest.mark.parametrize(("encoding", "weights"), [("rgb8", (0.299, 0.587, 0.114)), ("bgr8", (0.114, 0.587, 0.299))])
 @pytest.mark.parametrize("with_out", [False, True])
-def test_grey_of_colour_has_the_weights_of_rec_601(encoding: str, weights: Any, with_out: bool) -> None:
+def test_gray_of_color_has_the_weights_of_rec_601(encoding: str, weights: Any, with_out: bool) -> None:
     pixels = _ramp(5, 7, 3)
     out = np.zeros((5, 7), np.uint8) if with_out else None
     gray = to_gray(Frame(pixels, 0, "l", encoding), out)
@@ -511,6 +523,8 @@ def test_grey_of_colour_has_the_weights_of_rec_601(encoding: str, weights: Any, 
     "out",
     [np.zeros((7, 5), np.uint8), np.zeros((5, 7), np.float32), np.zeros((5, 14), np.uint8)[:, ::2]],
 )
-def test_a_grey_buffer_that_does_not_fit_is_refused(out: Any) -> None:
-    with pytest.raises(ImageError, match=r"^out is .* takes contiguous uint8 \(5, 7\): make the buffer anew"):
+def test_a_gray_buffer_that_does_not_fit_is_refused(out: Any) -> None:
+    with pytest.raises(
+        ImageError, match=r"^out: buffer is .* takes contiguous uint8 \(5, 7\): allocate the buffer again"
+    ):
         to_gray(Frame(_ramp(5, 7, 3), 0, "l", "bgr8"), out)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels are compiled in one step, once, and again only when what their code is made of has changed."""
+"""Kernels are compiled in one step, once, and again only when their code has changed."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ def run(folder: Path) -> list[str]:
     return output.splitlines()
 
 
-def test_code_is_read_from_disk_until_something_that_it_is_made_of_changes(folder: Path) -> None:
+def test_code_is_loaded_from_disk_until_it_or_a_helper_changes(folder: Path) -> None:
     assert run(folder) == ["compiling 1 2", "compiling 2 2", "8 6"]
     assert run(folder) == ["8 6"]
     write_helper(folder, "value * 10")
     assert run(folder) == ["compiling 1 1", "70 6"], "the kernel that calls the helper, and only that one"
 
 
-def test_lines_that_move_and_other_files_compile_nothing(folder: Path) -> None:
+def test_moved_lines_and_other_files_compile_nothing(folder: Path) -> None:
     run(folder)
     write_helper(folder, "value + 1", comment="# a comment\n\n\n")
     (folder / "kernel.py").write_text(f'"""A new docstring."""\n\n{KERNEL}')
@@ -84,7 +84,7 @@ def test_constants_are_part_of_the_code(folder: Path) -> None:
     assert run(folder) == ["compiling 1 1", "12 6"]
 
 
-def test_of_processes_that_start_together_one_compiles(folder: Path) -> None:
+def test_of_concurrent_processes_one_compiles(folder: Path) -> None:
     processes = [start(folder) for _ in range(3)]
     outputs = [process.communicate(timeout=240)[0].splitlines() for process in processes]
     assert [process.returncode for process in processes] == [0, 0, 0]
@@ -92,7 +92,7 @@ def test_of_processes_that_start_together_one_compiles(folder: Path) -> None:
     assert sum(line.startswith("compiling") for output in outputs for line in output) == 2
 
 
-def test_a_call_makes_the_code_where_nothing_did_before() -> None:
+def test_first_call_compiles() -> None:
     @compiled("float64(float64)")
     def half(value: float) -> float:
         return value / 2

@@ -109,7 +109,14 @@ def test_argument_defaults(entities: list[Any]) -> None:
 def test_executables_are_installed(entities: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = nodes_of(entities)
     assert set(nodes) == {
-        *("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node", "health_node")
+        *(
+            "rectify_node",
+            "disparity_node",
+            "point_cloud_node",
+            "depth_node",
+            "stereo_depth_node",
+            "calibration_monitor",
+        )
     }
     assert set(nodes) < entry_points(monkeypatch)
     assert {node.kwargs["package"] for node in nodes.values()} == {"stereo_depth_ros"}
@@ -126,7 +133,7 @@ def test_parameters_are_those_of_the_stages_with_their_types(entities: list[Any]
         "point_cloud_node": {**stages["pairing"], **stages["cloud"]},
         "depth_node": {**stages["pairing"], **stages["depth"]},
         "stereo_depth_node": {name: kind for stage in stages.values() for name, kind in stage.items()},
-        "health_node": {
+        "calibration_monitor": {
             **stages["pairing"],
             **{info.name: info.type for info in parameter_infos(CalibrationMonitorConfig)},
         },

@@ -48,7 +48,7 @@ def test_a_drawn_edge_is_found(x0: float, slope: float, left: int, right: int) -
     assert found.contrast[0] == pytest.approx(left - right, abs=1.0)  # 2 px beside the edge all is flat
 
 
-def test_upper_end_is_first_and_flat_or_short_edges_are_left_out() -> None:
+def test_upper_end_is_first_and_flat_or_short_edges_are_skipped() -> None:
     image = np.full((120, 200), 50, np.uint8)
     cv2.fillPoly(image, [np.array([[20, 20], [180, 40], [150, 100], [60, 90]])], 200)  # upper and lower side are flat
     image[5:12, 100:107] = 220  # sides of 7 px

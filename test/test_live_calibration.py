@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rendered_boards import FISHEYE, SIZE, SQUARE_M, chessboard_photographs
 
-from stereo_depth_ros.calibration.boards import create_board
+from stereo_depth_ros.calibration.board_options import create_board
 from stereo_depth_ros.calibration.live_calibration import GOOD_VIEWS, LiveCalibration, Look
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import U8

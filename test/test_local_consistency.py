@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Confidence from neighbors that agree, against counting one by one, and what confidences are worth."""
+"""Local consistency against explicit counting, and the value of the confidences."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def counted(disparity_px: F32) -> F32:
 
 
 @pytest.mark.parametrize("shape", [(41, 70), (5, 33), (80, 7), (1, 1)])
-def test_agreement_is_the_share_of_like_neighbours(shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_consistency_is_the_share_of_similar_neighbors(shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(4)
     disparity_px = (rng.integers(0, 4, shape) + rng.random(shape)).astype(np.float32)
     disparity_px[rng.random(shape) < 0.2] = np.nan
@@ -45,7 +45,7 @@ def test_agreement_is_the_share_of_like_neighbours(shape: tuple[int, int], monke
 
 
 @pytest.mark.parametrize("name", ["bm", "sgbm", "window", "adaptive_window", "diffusion"])
-def test_it_is_the_confidence_of_methods_without_another(name: str) -> None:
+def test_it_is_the_confidence_of_methods_without_a_margin(name: str) -> None:
     rng = np.random.default_rng(2)
     wide = rng.integers(0, 256, (90, 200), dtype=np.uint8)
     left, right = np.ascontiguousarray(wide[:, :160]), np.ascontiguousarray(wide[:, 8:168])
@@ -61,7 +61,7 @@ def test_it_is_the_confidence_of_methods_without_another(name: str) -> None:
 @pytest.mark.real_data
 @pytest.mark.parametrize("scene", ["tsukuba", "venus"])
 @pytest.mark.parametrize("name", [name for name in MATCHERS if name not in ("features", "onnx")])
-def test_confidence_of_every_dense_method_knows_what_is_wrong(name: str, scene: str, stereo_data: Path) -> None:
+def test_confidence_of_every_dense_method_predicts_errors(name: str, scene: str, stereo_data: Path) -> None:
     of = middlebury2001.scene(scene, stereo_data)
     found = create_matcher(name, num_disparities=32).match(of.left, of.right)
     known = np.isfinite(found.disparity_px) & np.isfinite(of.truth_px)

@@ -162,7 +162,7 @@ def test_matcher_that_lacks_something_is_refused_and_the_old_one_stays(running: 
         ("disparity_range", 16, "disparity_range"),
         ("correlation_window_size", 10, "correlation_window_size"),
         ("uniqueness_ratio", 101.0, "uniqueness_ratio"),
-        ("depth_encoding", "64FC1", "depth_encoding = '64FC1' is none of 32FC1, 16UC1: take one of them"),
+        ("depth_encoding", "64FC1", "depth_encoding = '64FC1' is not one of 32FC1, 16UC1: use one of them"),
         ("min_disparity", "two", "expected .*INTEGER.* got .*STRING"),
         ("queue_size", 7, "(?i)read-only"),
         ("image_transport", "compressed", "(?i)read-only"),
@@ -237,10 +237,10 @@ def test_change_that_the_images_are_too_small_for_is_told_and_can_be_undone(runn
             ConfigError,
             "unknown parameter 'disparity_rnage': did you mean 'disparity_range'",
         ),
-        ({"foo_bar_baz": 1}, {}, ConfigError, "unknown parameter 'foo_bar_baz': `stereo-depth parameters` lists all"),
+        ({"foo_bar_baz": 1}, {}, ConfigError, "unknown parameter 'foo_bar_baz': see the table of parameters"),
         ({"queue_size": 0}, {}, ConfigError, r"queue_size = 0 is outside 1\.\.1000: set it inside"),
         ({"queue_size": "'5'"}, {}, ConfigError, "queue_size = '5' is str, it takes int"),
-        ({"image_transport": "theora"}, {}, ConfigError, "'theora' is none of raw, compressed"),
+        ({"image_transport": "theora"}, {}, ConfigError, "'theora' is not one of raw, compressed"),
         (
             {"qos_overrides./left/image_rect.subscription.reliability": "relable"},
             {},
@@ -289,7 +289,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], list[str], str]] = {
     "out of range": (
         {"disparity_range": 70},
         [],
-        "disparity_range = 70 is not 32 plus a multiple of 16: take 64 or 80",
+        "disparity_range = 70 is not 32 plus a multiple of 16: use 64 or 80",
     ),
     "contradiction": (
         {"stereo_algorithm": 1, "P1": 500.0, "P2": 400.0},

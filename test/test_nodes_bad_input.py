@@ -132,13 +132,13 @@ IMAGE_CASES = (
     Case(
         "short payload",
         cut_short,
-        r"/right/image_raw: data has 23999 bytes, .* takes 24000: send every row whole",
+        r"/right/image_raw: data has 23999 bytes, .* takes 24000: send complete rows",
         "MessageError",
     ),
     Case(
         "unknown encoding",
         set_field(LEFT, "encoding", "nv99"),
-        "/left/image_raw: encoding = 'nv99' is not read: publish one of mono8",
+        "/left/image_raw: encoding = 'nv99' is not supported: publish one of mono8",
         "MessageError",
     ),
     Case("no pixels", set_field(RIGHT, "height", 0), "/right/image_raw: height = 0 px cannot be mono8", "MessageError"),
@@ -194,7 +194,7 @@ INFO_CASES = (
     Case(
         "no baseline",
         set_matrix((RIGHT_INFO,), "p", scale_baseline(0.0)),
-        r"P\[0,3\] = 0 is no baseline, .*: calibrate both cameras together",
+        r"P\[0,3\] = 0 is not a baseline, .*: calibrate both cameras together",
         "CalibrationError",
     ),
     Case(
@@ -206,7 +206,7 @@ INFO_CASES = (
     Case(
         "unknown distortion model",
         set_field(RIGHT_INFO, "distortion_model", "fov"),
-        "distortion_model 'fov' is none of plumb_bob, rational_polynomial, equidistant: calibrate",
+        "distortion_model 'fov' is not one of plumb_bob, rational_polynomial, equidistant: calibrate",
         "CalibrationError",
     ),
     Case(
@@ -303,7 +303,7 @@ def test_damaged_compressed_image(camera: StereoCamera) -> None:
         header = camera.images(FIRST_NS)[LEFT].header
         broken = CompressedImage(header=header, format="jpeg", data=array.array("B", b"no jpeg"))
         graph.send({f"{LEFT}/compressed": broken, f"{RIGHT}/compressed": broken})
-        graph.wait_error("/left/image_raw: data of 7 bytes with format 'jpeg' is no whole jpeg or png")
+        graph.wait_error("/left/image_raw: data of 7 bytes with format 'jpeg' is not a complete jpeg or png")
         assert graph.counter("MessageError") == 1
 
 
@@ -359,7 +359,7 @@ STAGE_CASES = (
         DepthNode,
         ("depth/image_rect", Image),
         set_field("disparity", "t", 0.24),
-        r"/disparity: f = 134\.375 px, T = 0\.24 m, the camera infos say .* 0\.120054 m \(limit 0\.1 %\): subscribe",
+        r"/disparity: f = 134\.375 px, T = 0\.24 m, the camera infos have .* 0\.120054 m \(limit 0\.1 %\): subscribe",
         ("disparity",),
     ),
     StageCase(
@@ -373,7 +373,7 @@ STAGE_CASES = (
         PointCloudNode,
         ("points2", PointCloud2),
         wrong_color_size,
-        r"left image of \(60, 100\), the disparities have \(120, 200\) \(rows, columns\): send the left image",
+        r"left image of \(60, 100\), the disparities have \(120, 200\) \(rows, columns\): pass the left image",
         CLOUD_INPUTS,
     ),
 )

@@ -54,14 +54,14 @@ def test_every_pair_gives_every_output_with_the_depth_of_the_truth(bags: tuple[P
 @pytest.mark.parametrize("name", [name for name in MATCHERS if name != "onnx"])  # needs a network
 def test_every_matcher_by_name(bags: tuple[Path, Path], name: str) -> None:
     values = {**PARAMETERS, **parse_assignments([], name)}
-    result = process_bag(BagSelection(bags[0], duration_seconds=0.05), bags[1], pipeline_config(values))
+    result = process_bag(BagSelection(bags[0], duration_seconds=0.05), bags[1], pipeline_config(values), overwrite=True)
     assert result.score is not None and (result.pairs, result.lost) == (1, 0)
     assert result.score.median_px < 0.5  # some give whole pixels only
     assert (result.score.valid_fraction > 0.3) == (name != "features")
 
 
 def test_outputs_have_frames_encodings_and_a_cloud_that_agrees_with_the_depth(bags: tuple[Path, Path]) -> None:
-    process_bag(BagSelection(bags[0]), bags[1], CONFIG)
+    process_bag(BagSelection(bags[0]), bags[1], CONFIG, overwrite=True)
     made = sequence(FRAMES)
     with BagReader(bags[1]) as reader:
         first = {topic: reader.deserialize(next(reader.messages([topic]))) for topic in TOPICS}
@@ -75,7 +75,7 @@ def test_outputs_have_frames_encodings_and_a_cloud_that_agrees_with_the_depth(ba
 
 
 def test_provenance_is_written_with_the_outputs(bags: tuple[Path, Path]) -> None:
-    process_bag(BagSelection(bags[0]), bags[1], CONFIG)
+    process_bag(BagSelection(bags[0]), bags[1], CONFIG, overwrite=True)
     with bags[1].open("rb") as file:
         (record,) = [item for item in make_reader(file).iter_metadata() if item.name == "stereo_depth_ros"]
     assert record.metadata["disparity_range"] == "32"

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Networks built here, whose disparities are known: a block matcher, and one that tells the left gray value."""
+"""Networks with known disparities: a block matcher, and one that returns the left gray value."""
 
 from __future__ import annotations
 
+import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -103,7 +104,7 @@ def shifted_pair(height: int, width: int, shift: int) -> tuple[U8, U8]:
 
 
 def assert_shift(result: MatchResult, shift: int, margin: int = 2) -> None:
-    """Everywhere but where windows of the network leave an image: there it sees the border go on."""
+    """Everywhere but where windows of the network leave an image: there it sees the replicated border."""
     inside = result.disparity_px[margin:-margin, max(0, shift) + margin : min(0, shift) - margin]
     assert inside.size > 1000
     np.testing.assert_array_equal(inside, shift)
@@ -135,7 +136,7 @@ def test_input_layouts_and_output_shapes(tmp_path: Path, kind: int, shape: Any, 
 
 
 @pytest.mark.parametrize(("low", "shift"), [(-16, -5), (-7, 3), (4, 21)])
-def test_min_disparity_is_where_the_network_begins(tmp_path: Path, low: int, shift: int) -> None:
+def test_min_disparity_shifts_the_images(tmp_path: Path, low: int, shift: int) -> None:
     network = Network()
     model = network.save(tmp_path / "network.onnx", {"output": block_matching(network)})
     result = matcher(model, min_disparity=low).match(*shifted_pair(40, 140, shift))
@@ -143,7 +144,7 @@ def test_min_disparity_is_where_the_network_begins(tmp_path: Path, low: int, shi
 
 
 @pytest.mark.parametrize("names", [("left", "right"), ("Right_Image", "image_left"), ("a", "b")])
-def test_left_input_is_found_by_its_name_or_comes_first(tmp_path: Path, names: tuple[str, str]) -> None:
+def test_left_input_is_found_by_name_or_is_first(tmp_path: Path, names: tuple[str, str]) -> None:
     network = Network(names=names)
     ours, theirs = sorted(names, key=lambda name: "right" in name.lower())
     model = network.save(tmp_path / "network.onnx", {"output": block_matching(network, ours, theirs)})
@@ -151,7 +152,7 @@ def test_left_input_is_found_by_its_name_or_comes_first(tmp_path: Path, names: t
     assert_shift(result, 6)
 
 
-def test_free_sizes_are_padded_to_what_pooling_needs(tmp_path: Path) -> None:
+def test_variable_sizes_are_padded(tmp_path: Path) -> None:
     """Pooled by 32 and enlarged again, the sizes agree only if they are multiples of 32."""
     network = Network()
     pooled = network.add("MaxPool", network.gray("left"), kernel_shape=[32, 32], strides=[32, 32])
@@ -187,7 +188,7 @@ def test_fixed_size_finds_the_shift(tmp_path: Path, low: int) -> None:
 
 
 def reference(gray: U8, low: int) -> tuple[np.ndarray, np.ndarray]:
-    """Disparities and reasons of a network that tells sqrt(gray - 10), pixel by pixel."""
+    """Disparities and reasons of a network that returns sqrt(gray - 10), pixel by pixel."""
     height, width = gray.shape
     disparity, reasons = np.full(gray.shape, np.nan, np.float32), np.zeros(gray.shape, np.uint8)
     for y in range(height):
@@ -218,7 +219,7 @@ def test_reasons(tmp_path: Path, low: int) -> None:
     assert {0, Reason.NO_MATCH, Reason.BORDER} <= set(np.unique(reasons))
 
 
-def test_what_lies_beyond_the_range_is_no_match(tmp_path: Path) -> None:
+def test_disparities_beyond_the_range_are_no_match(tmp_path: Path) -> None:
     network = Network()
     model = network.save(tmp_path / "network.onnx", {"output": left_grey(network)})
     gray = np.tile(np.array([30, 31, 32, 90], np.uint8), (40, 40))
@@ -248,7 +249,7 @@ def test_same_input_same_bytes_in_any_memory(tmp_path: Path) -> None:
         assert result.reasons.tobytes() == expected.reasons.tobytes()
 
 
-def test_two_threads_and_a_buffer_that_is_used_again(tmp_path: Path) -> None:
+def test_two_threads_and_a_reused_buffer(tmp_path: Path) -> None:
     network = Network()
     shared = matcher(network.save(tmp_path / "network.onnx", {"output": block_matching(network)}))
     pairs = [shifted_pair(50, 140, 7), shifted_pair(50, 140, 12)]
@@ -266,15 +267,25 @@ def test_two_threads_and_a_buffer_that_is_used_again(tmp_path: Path) -> None:
         assert list(pool.map(work, range(2))) == [True, True]
 
 
+def test_a_network_is_opened_once_and_again_when_its_file_changes(tmp_path: Path) -> None:
+    model = tmp_path / "model.onnx"
+    network = Network()
+    network.save(model, {"disparity": block_matching(network)})
+    checked, used = matcher(str(model)), matcher(str(model), min_disparity=3)
+    assert used._session is checked._session, "the one that the parameters were checked with"
+    os.utime(model, ns=(1, 1))
+    assert matcher(str(model))._session is not checked._session
+
+
 def test_missing_model_or_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"onnx_model is empty.*set it to the path of an \.onnx file"):
         create_matcher("onnx")
-    with pytest.raises(ConfigError, match=r"onnx_model = '.*none\.onnx' is no file: correct the path"):
+    with pytest.raises(ConfigError, match=r"onnx_model = '.*none\.onnx' is not a file: correct the path"):
         matcher(str(tmp_path / "none.onnx"))
-    with pytest.raises(ConfigError, match=r"is no file"):
+    with pytest.raises(ConfigError, match=r"is not a file"):
         matcher(str(tmp_path))
     (tmp_path / "text.onnx").write_text("not a network")
-    with pytest.raises(ConfigError, match=r"text\.onnx' is no network that can be run: .*: export it again"):
+    with pytest.raises(ConfigError, match=r"text\.onnx' is not a network that can be run: .*: export it again"):
         matcher(str(tmp_path / "text.onnx"))
 
 
@@ -303,18 +314,18 @@ def test_wrong_number_of_inputs(tmp_path: Path) -> None:
         (FREE, TensorProto.DOUBLE, r"tensor\(double\) of shape \[1, 1, 'height', 'width'\]"),
     ],
 )
-def test_inputs_that_take_no_image(tmp_path: Path, shape: Any, kind: int, says: str) -> None:
+def test_inputs_that_do_not_take_an_image(tmp_path: Path, shape: Any, kind: int, says: str) -> None:
     network = Network(shape, kind=kind)
     total = network.add("Cast", network.add("Add", "left", "right"), to=TensorProto.FLOAT)
     model = network.save(tmp_path / "network.onnx", {"output": total})
     with pytest.raises(
-        ConfigError, match=rf"input 'left' is {says}, it must be .* of shape \(1, 1 or 3, height, width\)"
+        ConfigError, match=rf"input 'left' that is {says}, it must be .* of shape \(1, 1 or 3, height, width\)"
     ):
         matcher(model)
 
 
 @pytest.mark.parametrize("names", [("first", "second"), ("disp_coarse", "disp_fine")])
-def test_outputs_that_do_not_say_which_is_the_disparity(tmp_path: Path, names: tuple[str, str]) -> None:
+def test_ambiguous_outputs(tmp_path: Path, names: tuple[str, str]) -> None:
     network = Network()
     model = network.save(tmp_path / "network.onnx", dict.fromkeys(names, left_grey(network)))
     with pytest.raises(ConfigError, match=rf"has 2 outputs, {names[0]}, {names[1]}, exactly one must have disp"):
@@ -328,7 +339,7 @@ def test_output_of_another_size(tmp_path: Path) -> None:
     for found, shape in ((half, r"\(1, 1, 32, 64\)"), (twice, r"\(1, 2, 64, 128\)")):
         model = network.save(tmp_path / "network.onnx", {"output": found})
         with pytest.raises(
-            ConfigError, match=rf"inputs of shape \(1, 1, 64, 128\) with 'output' of shape {shape}, it must"
+            ConfigError, match=rf"inputs of shape \(1, 1, 64, 128\) the output 'output' of shape {shape}, it must"
         ):
             matcher(model).match(*shifted_pair(50, 100, 3))
 

@@ -37,15 +37,15 @@ from sensor_msgs.msg import CameraInfo, Image
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
-from stereo_depth_ros.nodes.ros_types import RclpyTypes
+from stereo_depth_ros.nodes.message_types import RclpyTypes
 
 width, height, rate_hz, frames = map(int, sys.argv[1:])
 scene, types = SyntheticSequence(1, width, height), RclpyTypes()
 pair, messages = scene[0].pair, {}
-for camera, camera in (("left", scene.rig.left), ("right", scene.rig.right)):
-    messages[f"{camera}/camera_info"] = camera_info_message(types, camera, 0)
-for camera, frame in (("left", pair.left), ("right", pair.right)):
-    messages[f"{camera}/image_raw"] = image_message(types, frame.pixels, "mono8", 0, frame.frame_id)
+for side, camera in (("left", scene.rig.left), ("right", scene.rig.right)):
+    messages[f"{side}/camera_info"] = camera_info_message(types, camera, 0)
+for side, frame in (("left", pair.left), ("right", pair.right)):
+    messages[f"{side}/image_raw"] = image_message(types, frame.pixels, "mono8", 0, frame.frame_id)
 
 rclpy.init()
 node = rclpy.create_node("camera")

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "stereo_depth_ros"
 NODES = {
     *("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node"),
-    *("feature_node", "health_node", "calibration_node", "replay_node"),
+    *("feature_node", "calibration_monitor", "health_node", "calibration_node", "replay_node"),
 }
 NOT_SOURCE = (".git", ".venv*", "build", "install", "log", "out", "__pycache__", "*.egg-info", ".*_cache")
 
@@ -69,7 +69,7 @@ def test_share_is_complete(install_space: Path) -> None:
 
 def test_executables_are_where_ros2_run_looks(install_space: Path) -> None:
     folder = install_space / "lib" / "stereo_depth_ros"
-    assert {path.name for path in folder.iterdir()} == NODES | {"stereo-depth"}
+    assert {path.name for path in folder.iterdir()} == NODES | {"health_node", "stereo-depth"}
     assert all(os.access(path, os.X_OK) for path in folder.iterdir())
 
 
@@ -77,6 +77,7 @@ def test_every_module_is_installed(install_space: Path) -> None:
     (site,) = install_space.glob("lib/python3*/site-packages")
     installed = {path.relative_to(site) for path in site.glob("stereo_depth_ros/**/*.py")}
     assert installed == {path.relative_to(ROOT) for path in PACKAGE.rglob("*.py")}
+    assert (site / "stereo_depth_ros" / "py.typed").is_file(), "type checkers ignore the annotations"
 
 
 def test_installed_package_finds_its_profile(install_space: Path) -> None:

@@ -41,7 +41,7 @@ def by_time(left: Stamps, right: Stamps) -> list[tuple[str, int]]:
     return sorted([("L", s) for s in left] + [("R", s) for s in right], key=lambda arrival: arrival[1])
 
 
-def test_items_come_back_as_left_and_right() -> None:
+def test_items_are_returned_as_left_and_right() -> None:
     pairing: StereoPairing[str] = StereoPairing(EXACT)
     assert pairing.add_right(7, "right") == []
     assert (pairing.pending_left, pairing.pending_right) == (0, 1)
@@ -88,7 +88,7 @@ def test_lost_frames_cost_their_partner_only() -> None:
 
 @pytest.mark.parametrize("config", [NEAREST, within(0.04)])
 def test_a_lost_frame_does_not_shift_all_pairs_after_it(config: PairingConfig) -> None:
-    """The tolerance is above a period here: first come, first paired would stay one frame behind for ever."""
+    """The tolerance is above a period here: pairing in order of arrival would stay one frame behind."""
     left = [i * 33 * MS for i in range(30) if i != 10]
     right = [i * 33 * MS + 5 * MS for i in range(30)]
     pairing: StereoPairing[int] = StereoPairing(config)
@@ -200,13 +200,13 @@ def test_a_late_item_is_paired_while_its_place_is_open() -> None:
 
 
 @pytest.mark.parametrize("config", [EXACT, NEAREST])
-def test_a_late_item_never_comes_out_of_order(config: PairingConfig) -> None:
+def test_a_late_item_is_never_released_out_of_order(config: PairingConfig) -> None:
     pairing: StereoPairing[int] = StereoPairing(config)
     assert run(pairing, [("L", 5), ("R", 5), ("L", 4), ("R", 4), ("L", 6), ("R", 6)]) == [(5, 5), (6, 6)]
     assert pairing.counts == PairingCounts(paired=2, dropped_left=1, dropped_right=1)
 
 
-def test_looped_bag_starts_anew() -> None:
+def test_looped_bag_restarts_the_pairing() -> None:
     bag = [(side, i * 100 * MS) for i in range(12) for side in "LR"]
     pairing: StereoPairing[int] = StereoPairing(EXACT)
     assert len(run(pairing, bag + bag + bag)) == 36

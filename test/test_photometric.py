@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Brightness differences that are known, taken away."""
+"""Known photometric differences are removed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def ramp(low: float, high: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("low", "high"), [(-4.0, 12.0), (-55.0, -40.0)])
 @pytest.mark.parametrize(("shift", "min_disparity"), [(9, 0), (-14, -20)])
-def test_a_smooth_difference_is_taken_away(low: float, high: float, shift: int, min_disparity: int) -> None:
+def test_a_smooth_difference_is_removed(low: float, high: float, shift: int, min_disparity: int) -> None:
     left, right = textured_pair(shift)
     brighter = np.rint(left + ramp(low, high)).astype(np.uint8)
     config = MatchingConfig(num_disparities=32, min_disparity=min_disparity)
@@ -40,7 +40,7 @@ def test_a_smooth_difference_is_taken_away(low: float, high: float, shift: int, 
     assert np.abs(inner).mean() < 0.4 + 0.05 * max(abs(low), abs(high))
 
 
-def test_equal_images_and_what_cannot_be_matched_stay_as_they_are() -> None:
+def test_equal_and_unmatched_images_are_unchanged() -> None:
     left, right = textured_pair(9)
     inner = np.s_[16:-16, 40:]
     np.testing.assert_allclose(match_photometric(left, right, CONFIG)[inner].astype(int), left[inner], atol=1)
@@ -50,7 +50,7 @@ def test_equal_images_and_what_cannot_be_matched_stay_as_they_are() -> None:
     np.testing.assert_array_equal(match_photometric(left, right, one_pixel), left)
 
 
-def test_outliers_do_not_darken_their_neighbours() -> None:
+def test_outliers_do_not_darken_their_neighbors() -> None:
     left, right = textured_pair(9)
     shining = left.copy()
     shining[40:50, 100:110] = 255  # a reflection in one image

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The path as a program calls it: a raw synthetic pair against its exact truth."""
+"""The pipeline API: a raw synthetic pair against its ground truth."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_timings_name_the_stages(result: StereoResult) -> None:
     assert all(ms > 0 for ms in result.timings_ms.values())
 
 
-def test_a_frame_does_not_change_the_result_of_the_one_before(frame: SyntheticFrame) -> None:
+def test_a_frame_does_not_change_the_previous_result(frame: SyntheticFrame) -> None:
     pipeline = StereoPipeline(PipelineConfig(), SEQUENCE.rig)
     first = pipeline.process(frame.pair)
     before = first.disparity.disparity_px.copy(), first.disparity.reasons.copy(), first.rectified.left.copy()
@@ -93,7 +93,7 @@ def test_swapped_images_are_refused(frame: SyntheticFrame) -> None:
         pipeline.process(StereoPair(frame.pair.right, frame.pair.left))
 
 
-def test_margins_that_the_raw_cameras_did_not_see_have_no_disparity(frame: SyntheticFrame) -> None:
+def test_unseen_margins_have_no_disparity(frame: SyntheticFrame) -> None:
     """Both cameras turned by 16 degrees about the baseline: still a rectified pair, with black rows above or below."""
     angle = np.deg2rad(16.0)
     turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])

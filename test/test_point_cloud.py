@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clouds: every byte where the layout says, points against OpenCV's reprojection."""
+"""Clouds: every byte of the layout, points against OpenCV's reprojection."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ def test_every_layout(
 
 
 @pytest.mark.parametrize(("encoding", "order"), [("bgr8", (0, 1, 2)), ("rgb8", (2, 1, 0)), ("mono8", (0, 0, 0))])
-def test_colours_of_every_encoding(encoding: str, order: tuple[int, ...], disparity_px: F32, color: U8) -> None:
+def test_colors_of_every_encoding(encoding: str, order: tuple[int, ...], disparity_px: F32, color: U8) -> None:
     image = color[:, :, 0] if encoding == "mono8" else color
     payload = np.zeros(WIDTH * HEIGHT * 16, np.uint8)
     pack_points(disparity_px, Triangulation.from_rig(RIG), CloudLayout(16, 12), payload, image.copy(), encoding)
     np.testing.assert_array_equal(payload.reshape(HEIGHT, WIDTH, 16)[:, :, 12:15], color[:, :, list(order)])
 
 
-def test_a_verged_rig_differs_from_one_that_is_not(disparity_px: F32) -> None:
+def test_a_verged_rig_differs_from_a_parallel_one(disparity_px: F32) -> None:
     payload, straight = np.zeros((2, WIDTH * HEIGHT * 12), np.uint8)
     triangulation = Triangulation.from_rig(RIG)
     pack_points(disparity_px, triangulation, CloudLayout(12, None), payload)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.errors import ImageError, OutputError
 from stereo_depth_ros.plots.preview import color_depth, legend_ticks, preview, save_preview
 
 SHAPE = (60, 96)
@@ -76,5 +76,5 @@ def test_picture_is_written_as_png(tmp_path: Path) -> None:
 
 def test_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ImageError, match=r"cannot write .*file/p\.png"):
+    with pytest.raises(OutputError, match=r"cannot write .*file/p\.png"):
         save_preview(tmp_path / "file" / "p.png", np.zeros(SHAPE, np.uint8), ramp())

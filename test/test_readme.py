@@ -20,8 +20,8 @@ import pytest
 import typer
 from stereo_bags import messages_of
 
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
@@ -72,10 +72,10 @@ def setup_nodes() -> tuple[str, ...]:
 def test_commands_and_their_options_exist(arguments: list[str]) -> None:
     command: Any = typer.main.get_command(cli.app)
     rest = list(arguments)
-    while hasattr(command, "commands"):
-        name = rest.pop(0)
-        assert name in command.commands, f"{name} is none of {', '.join(command.commands)}"
-        command = command.commands[name]
+    while hasattr(command, "list_commands"):
+        name, names = rest.pop(0), command.list_commands(None)
+        assert name in names, f"{name} is none of {', '.join(names)}"
+        command = command.get_command(None, name)
     command.make_context(name, rest)  # parses without running; refuses what it does not know
 
 

@@ -62,7 +62,7 @@ TYPES = RosbagsTypes()
 # noted before the replay sorts out what it did not expect.
 PLAY = """
 import json, sys
-from stereo_depth_ros.nodes.replay.live import replay_through_graph
+from stereo_depth_ros.nodes.live_replay import replay_through_graph
 from stereo_depth_ros.nodes.replay.tracker import PairTracker
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.replay.options import ReplayOptions

@@ -61,7 +61,7 @@ def test_a_point_has_one_row_and_its_disparity(model: str) -> None:
     raw_left = project(points, np.zeros(3), np.zeros(3), K_LEFT, rig.left.D, model)
     raw_right = project(points, ROTATION_VECTOR, T, K_RIGHT, rig.right.D, model)
 
-    # Images whose pixels hold their own place: rectified, they tell where each pixel came from.
+    # Pixel values are their positions, so the rectified images give the source of each pixel.
     places: Any = np.dstack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))).astype(np.float32)
     rectifier = Rectifier(rig)
     from_left = rectifier.rectify_left(places)[y, x]

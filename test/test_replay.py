@@ -171,7 +171,7 @@ def test_replay_node_without_a_bag_is_an_error() -> None:
 def test_separate_nodes_give_the_bytes_of_the_offline_engine_from_a_compressed_bag(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from stereo_depth_ros.nodes.replay.live import replay_through_graph
+    from stereo_depth_ros.nodes.live_replay import replay_through_graph
 
     monkeypatch.setenv("ROS_DOMAIN_ID", domain(2))
     write_odd_bag(tmp_path / "in.mcap", 3, compressed=True, without_right=(1,))
@@ -222,7 +222,7 @@ def test_second_publisher_of_an_output_is_refused(bag: Path, monkeypatch: pytest
 
 
 def test_node_that_exits_is_named_with_the_end_of_its_log(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from stereo_depth_ros.nodes.replay.live import replay_through_graph
+    from stereo_depth_ros.nodes.live_replay import replay_through_graph
 
     monkeypatch.setenv("ROS_DOMAIN_ID", domain(1))
     with pytest.raises(GraphError, match=r"(?s)stereo_depth_node: exited with code 1.*disparity_rang"):
@@ -243,7 +243,7 @@ def test_pairs_without_outputs_are_lost_with_the_error_of_the_node(
 
 
 def test_bag_without_stereo_is_refused_before_any_node_starts(tmp_path: Path) -> None:
-    from stereo_depth_ros.nodes.replay.live import replay_through_graph
+    from stereo_depth_ros.nodes.live_replay import replay_through_graph
 
     types = RosbagsTypes()
     with BagWriter(tmp_path / "mono.mcap") as writer:

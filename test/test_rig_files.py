@@ -12,7 +12,7 @@ from stereo_bags import sequence, write_odd_bag, write_truth_bag
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.writer import BagWriter
-from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.datasets.rig_files import read_rig
 from stereo_depth_ros.messages.image import image_message

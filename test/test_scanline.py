@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scanlines against all paths and all columns tried out, and on real pairs."""
+"""Scanlines against exhaustive search over paths and columns, and on real pairs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def path_cost(labels: tuple[int, ...], costs: np.ndarray, gaps: np.ndarray, occl
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_path_is_the_cheapest_of_all(seed: int) -> None:
+def test_path_has_the_lowest_cost_of_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     width, count, occlusion = 6, 4, int(rng.integers(3, 9))
     costs = rng.integers(0, 12, (1, width, count + 1)).astype(np.int32)
@@ -74,7 +74,7 @@ def columns(data: np.ndarray, weights: np.ndarray, occlusion: int, largest_step:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_columns_tell_the_least_sum_for_every_label(seed: int) -> None:
+def test_columns_have_the_minimum_sum_for_every_label(seed: int) -> None:
     rng = np.random.default_rng(seed)
     height, width, count, occlusion = 4, 2, 4, 9
     data = rng.integers(0, 20, (height, width, count)).astype(np.int32)
@@ -92,7 +92,7 @@ def test_columns_tell_the_least_sum_for_every_label(seed: int) -> None:
         for y in range(height):
             inside = ~outside[y]
             difference = least[y, inside] - costs[y, x, inside]
-            assert (difference == difference[0]).all()  # the constant that is left out
+            assert (difference == difference[0]).all()  # the constant that is omitted
 
 
 def test_pixels_have_one_partner_and_keep_their_order() -> None:
@@ -128,7 +128,7 @@ def test_occluded_pixels_have_no_disparity() -> None:
     assert (filled.confidence[result.reasons == 0] > 0).mean() > 0.9
 
 
-def test_scanlines_together_outdo_scanlines_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_consistent_scanlines_outperform_independent_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(9)
     wall = rng.normal(120, 6, (60, 180))  # hardly more contrast than noise
     left, right = wall[:, :150], wall[:, 7:157]
@@ -145,7 +145,9 @@ def test_scanlines_together_outdo_scanlines_alone(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", ["tsukuba", "venus"])
-def test_real_scanlines_alone_and_together(name: str, stereo_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_real_scanlines_independent_and_consistent(
+    name: str, stereo_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     of = middlebury2001.scene(name, stereo_data)
     together = middlebury2001.matched("scanline", name, stereo_data, fill_holes=True).result
     monkeypatch.setattr(scanline, "CONSISTENCY", 0.0)

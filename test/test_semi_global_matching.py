@@ -30,7 +30,7 @@ EIGHT_PATHS = (*FOUR_PATHS, (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def matcher(**fields: Any) -> SemiGlobalMatcher:
-    """Without a filter, unless one is asked for: that has tests of its own."""
+    """A matcher without disparity filter by default; the filter is tested separately."""
     made = create_matcher("sgm", **{"disparity_filter": "none", **fields})
     assert isinstance(made, SemiGlobalMatcher)
     return made
@@ -49,7 +49,7 @@ def patches(height: int, width: int, low: int, high: int, seed: int = 0) -> tupl
 
 
 def whole_image(left: U8, right: U8, config: MatchingConfig) -> tuple[F32, U8, F32]:
-    """Disparities, reasons and leads of the definition, over the image in one piece, without a speckle filter."""
+    """Disparities, reasons and margins of the definition, over the whole image, without a speckle filter."""
     height, width = left.shape
     count, top = config.num_disparities, config.max_disparity
     cost = costs_by_definition(census_by_definition(left), census_by_definition(right), top, count)
@@ -75,7 +75,7 @@ def whole_image(left: U8, right: U8, config: MatchingConfig) -> tuple[F32, U8, F
 
 
 def winner(sums: I64, seen: np.ndarray, top: int) -> tuple[int, float, np.float32]:
-    """Index, disparity in steps of 1/64 px and lead of one pixel; of equal sums the larger disparity wins."""
+    """Index, disparity in steps of 1/64 px and margin of one pixel; of equal sums the larger disparity wins."""
     ks = np.flatnonzero(seen)
     k = int(ks[np.argmin(sums[ks])])
     others = sums[ks[abs(ks - k) >= 2]]
@@ -149,7 +149,7 @@ def test_result_is_that_of_the_definition(shape: tuple[int, int], fields: dict[s
 
 
 @pytest.mark.parametrize("paths", [4, 8])
-def test_strips_with_enough_approach_are_the_whole_image(paths: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_strips_with_enough_warm_up_equal_the_whole_image(paths: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(semi_global_matching, "APPROACH_ROWS", 100)
     sgm = matcher(num_disparities=32, speckle_size=0, sgm_paths=paths)
     left, right = patches(47, 60, 2, 25)
@@ -189,7 +189,7 @@ def test_bytes_do_not_depend_on_the_cores(fields: dict[str, Any], monkeypatch: p
         check_equal(result, results[0])
 
 
-def test_repeated_calls_and_changing_sizes_leave_no_trace() -> None:
+def test_repeated_calls_and_changing_sizes_are_independent() -> None:
     sgm = matcher(num_disparities=48, sgm_paths=8)
     shapes = ((50, 90), (31, 140), (50, 90), (50, 90), (90, 50), (1, 64))
     pairs = [patches(*shape, 0, 30, seed) for seed, shape in enumerate(shapes)]
@@ -223,7 +223,7 @@ def shifted(height: int, width: int, shift: int, seed: int = 5) -> tuple[U8, U8]
 
 
 @pytest.mark.parametrize("shift", [5, -5, 30, 0])
-def test_all_that_both_eyes_see_is_found_where_the_range_leaves_the_image(shift: int) -> None:
+def test_visible_points_are_found_where_the_range_leaves_the_image(shift: int) -> None:
     result = matcher(min_disparity=-16, num_disparities=64).match(*shifted(61, 117, shift))
     check(result, (61, 117))
     columns = np.arange(117)
@@ -258,7 +258,7 @@ def test_border_is_where_no_disparity_is_in_the_right_image(min_disparity: int, 
     np.testing.assert_array_equal(result.reasons == Reason.BORDER, expected)
 
 
-def test_a_winner_without_a_rival_has_no_lead() -> None:
+def test_a_winner_without_a_second_has_no_margin() -> None:
     left, right = shifted(40, 70, 0)
     rejected = matcher(num_disparities=32, speckle_size=0).match(left, right)
     assert (rejected.reasons[:, :2] == Reason.UNIQUENESS).all()  # disparity 0, and 0 and 1
@@ -341,7 +341,7 @@ def test_images_with_hardly_any_texture_have_hardly_any_disparity() -> None:
     [
         ({"sgm_P1": 50, "sgm_P2": 50}, r"sgm_P2 = 50 is not above sgm_P1 = 50: raise sgm_P2"),
         ({"sgm_P1": 31, "sgm_P2": 163}, r"sgm_P1 \+ sgm_P2 = 194 is above 193.*lower one"),
-        ({"sgm_paths": 6}, r"sgm_paths = 6 .*take 4 or 8"),
+        ({"sgm_paths": 6}, r"sgm_paths = 6 .*use 4 or 8"),
     ],
 )
 def test_refused_parameters(fields: dict[str, Any], message: str) -> None:
@@ -354,7 +354,7 @@ def test_largest_penalties_are_accepted() -> None:
 
 
 @pytest.mark.parametrize(("low", "width"), [(50, 50), (-100, 69), (0, 0)])  # 50..81, -100..-69
-def test_images_that_see_no_disparity_are_refused(low: int, width: int) -> None:
+def test_images_too_small_for_any_disparity(low: int, width: int) -> None:
     sgm = matcher(min_disparity=low, num_disparities=32)
     narrow, wider = np.zeros((20, width), np.uint8), np.zeros((20, width + 1), np.uint8)
     with pytest.raises(ImageError, match=rf"images of {width} x 20 px.*disparities {low}\.\.{low + 31}"):
@@ -362,7 +362,7 @@ def test_images_that_see_no_disparity_are_refused(low: int, width: int) -> None:
     check(sgm.match(wider, wider), (20, width + 1))
 
 
-def test_images_that_disagree_are_refused() -> None:
+def test_images_of_different_size() -> None:
     good = np.zeros((20, 50), np.uint8)
     with pytest.raises(ImageError, match=r"left image is \(20, 50\), right image is \(20, 49\)"):
         matcher().match(good, good[:, :49])

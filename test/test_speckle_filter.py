@@ -61,7 +61,7 @@ def test_size_zero_keeps_all() -> None:
     assert (reasons == 0).all()
 
 
-def test_disparity_from_fixed() -> None:
+def test_disparity_from_x16() -> None:
     disparity_x16 = np.array([[17, -40, 32767], [8, -32768, 0]], np.int16)
     reasons = np.array([[0, 0, 0], [Reason.BORDER, 0, Reason.TEXTURE]], np.uint8)
     out = np.zeros((2, 3), np.float32)

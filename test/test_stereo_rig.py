@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs: conventions against closed forms, and every refusal."""
+"""Rigs: conventions against closed forms, and every error."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.camera import CameraModel
-from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.camera_info import camera_info_message
@@ -103,7 +103,10 @@ def test_errors_name_the_topic(rig: StereoRig) -> None:
     ("changes", "match"),
     [
         ({"width": 0}, "size 0x200 is empty"),
-        ({"distortion_model": "fisheye"}, "distortion_model 'fisheye' is none of plumb_bob, rational_polynomial, equi"),
+        (
+            {"distortion_model": "fisheye"},
+            "distortion_model 'fisheye' is not one of plumb_bob, rational_polynomial, eq",
+        ),
         ({"D": np.zeros(8)}, "D has 8 coefficients, plumb_bob takes 0 or 4 or 5"),
         ({"distortion_model": "rational_polynomial"}, "D has 5 coefficients, rational_polynomial takes 8 or 12 or 14"),
         ({"distortion_model": "equidistant"}, "D has 5 coefficients, equidistant takes 4"),
@@ -124,15 +127,17 @@ def test_errors_name_the_topic(rig: StereoRig) -> None:
 )
 def test_refused_cameras(rig: StereoRig, side: str, changes: dict[str, Any], match: str) -> None:
     broken = replace(getattr(rig, side), **changes)
-    with pytest.raises(CalibrationError, match=f"{side} camera: {match}"):
+    with pytest.raises(CalibrationError, match=f"^{side} camera: {match}") as caught:
         replace(rig, **{side: broken})
+    assert caught.value.subject == f"{side} camera"
+    assert caught.value.remedy
 
 
 @pytest.mark.parametrize(
     ("side", "at", "value", "match"),
     [
         ("right", (0, 3), 48.0, r"P\[0,3\] = 48 is positive.*swapped"),
-        ("right", (0, 3), 0.0, r"P\[0,3\] = 0 is no baseline"),
+        ("right", (0, 3), 0.0, r"P\[0,3\] = 0 is not a baseline"),
         ("right", (0, 3), -48000.0, r"baseline 120 m is outside 0.001..10 m: units are meters"),
         ("right", (0, 3), -0.12, r"baseline 0.0003 m is outside"),
         ("right", (1, 3), -41.0, r"P\[1,3\] = -41 is a vertical baseline of -0.1 m"),
@@ -153,7 +158,7 @@ def test_accepted_differences(rig: StereoRig, at: tuple[int, int], value: float)
     replace(rig, right=replace(rig.right, P=changed(rig.right.P, at, value)))
 
 
-def test_swapped_eyes_are_told(rig: StereoRig) -> None:
+def test_swapped_cameras_are_reported(rig: StereoRig) -> None:
     with pytest.raises(CalibrationError, match="left and right are probably swapped"):
         StereoRig(rig.right, rig.left)
 
@@ -185,7 +190,7 @@ def test_wrong_number_of_values(rig: StereoRig) -> None:
         ({"R": np.zeros((3, 3))}, "R from the left to the right camera = .* is not a rotation"),
         ({"K_right": np.zeros((3, 3))}, "right camera: K is all zero"),
         ({"D_left": np.zeros(3)}, "left camera: D has 3 coefficients"),
-        ({"distortion_model": "radtan"}, "distortion_model 'radtan' is none of"),
+        ({"distortion_model": "radtan"}, "distortion_model 'radtan' is not one of"),
     ],
 )
 def test_refused_calibrations(changes: dict[str, Any], match: str) -> None:

@@ -21,12 +21,12 @@ from stereo_depth_ros.matching.selection.summed_costs import (
 
 
 def bids_of(costs: list[int | None]) -> U32:
-    """Bids of summed costs; None makes no bid."""
+    """Keys of summed costs; NO_KEY for None."""
     keys = [NO_KEY if cost is None else (cost << 16) + k for k, cost in enumerate(costs)]
     return np.array(keys, np.uint32)
 
 
-def test_bids_hold_the_sum_and_the_index() -> None:
+def test_keys_hold_the_sum_and_the_index() -> None:
     rng = np.random.default_rng(0)
     totals = rng.integers(0, 7 * 255 + 1, 4096).astype(np.uint16)  # eight paths, all disparities
     path = rng.integers(0, 256, 4098).astype(np.uint8)
@@ -62,7 +62,7 @@ def test_second_is_at_least_two_away(count: int) -> None:
         ([5, 5, 5], 0.0),
     ],
 )
-def test_subpixel_is_where_the_lines_meet_with_the_pull_taken_back(costs: list[int | None], u: float) -> None:
+def test_subpixel_is_the_intersection_corrected_for_pixel_locking(costs: list[int | None], u: float) -> None:
     expected = u * (1 + (1 - 4 * u**2) / 4)
     assert subpixel(bids_of([60, *costs, 60]), 2) == pytest.approx(expected, abs=1e-12)
 
@@ -77,11 +77,11 @@ def test_subpixel_keeps_order_and_stays_in_the_pixel() -> None:
 @pytest.mark.parametrize(
     ("costs", "best"), [([1, 2, 3], 0), ([3, 2, 1], 2), ([None, 1, 2], 1), ([2, 1, None], 1), ([1], 0)]
 )
-def test_no_subpixel_without_both_neighbours(costs: list[int | None], best: int) -> None:
+def test_no_subpixel_without_both_neighbors(costs: list[int | None], best: int) -> None:
     assert subpixel(bids_of(costs), best) == 0
 
 
-def test_right_pixels_keep_the_best_bid() -> None:
+def test_right_pixels_keep_the_smallest_key() -> None:
     right = bids_of([4, None, 6, 6])
     lower_keys(bids_of([5, 5, 5, None]), right)
     np.testing.assert_array_equal(right, bids_of([4, 5, 5, 6]))

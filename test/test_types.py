@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames and pairs that cannot be wrong: what is refused, what is copied, what cannot be written."""
+"""Frames and pairs: invalid input, copies, and read-only pixels."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def test_window_of_each_cost_is_the_definition(
     np.testing.assert_array_less(np.abs(result.disparity_px * 16 - expected)[clear], 0.51)
 
 
-def test_bounded_sad_does_not_mind_how_large_a_difference_is() -> None:
+def test_truncated_sad_is_independent_of_large_differences() -> None:
     left, right = shifted_pair(30, 80, 9)
     spoiled = np.where(np.random.default_rng(2).random(left.shape) < 0.4, 255, left).astype(np.uint8)
 
@@ -136,7 +136,7 @@ def test_any_odd_window_finds_a_shift(side: int) -> None:
 
 
 @pytest.mark.parametrize("cost", COSTS)
-def test_rows_that_are_not_quite_rectified(cost: str) -> None:
+def test_vertical_search_finds_row_offsets(cost: str) -> None:
     left, right = shifted_pair(40, 90, 8, rows=-2)
     inner = np.s_[6:-6, 16:-6]
     for vertical, correct in ((2, True), (1, False)):
@@ -160,7 +160,7 @@ def test_zero_mean_costs_ignore_brightness_and_zncc_contrast() -> None:
 
 
 @pytest.mark.parametrize("low", [5, -40])
-def test_pixels_without_a_hypothesis_are_border(low: int) -> None:
+def test_pixels_without_a_candidate_are_border(low: int) -> None:
     shift = low + 12
     left, right = shifted_pair(23, 101, shift)
     result = create_matcher("window", min_disparity=low, correlation_window_size=5, **UNCHECKED).match(left, right)
@@ -181,7 +181,7 @@ def test_windows_without_contrast_have_no_correlation() -> None:
     np.testing.assert_array_equal(result.reasons, np.where(flat, Reason.TEXTURE, 0))
 
 
-def test_checks_reject_repeated_texture_and_what_the_right_eye_does_not_see() -> None:
+def test_checks_reject_repeated_texture_and_occlusions() -> None:
     _, right = shifted_pair(40, 120, 0)
     left = np.roll(right, 4, 1)
     left[10:30, 60:90] = right[10:30, 45:75]  # 15 px: in front, with 11 occluded columns to its left
@@ -235,7 +235,7 @@ def test_same_bytes_on_any_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_refused() -> None:
-    with pytest.raises(ConfigError, match="max_difference = 20 bounds sad, not ncc: take window_cost sad, or max_dif"):
+    with pytest.raises(ConfigError, match="max_difference = 20 truncates sad, not ncc: use window_cost sad, or max_"):
         create_matcher("window", window_cost="ncc", max_difference=20)
     with pytest.raises(ConfigError, match=r"disparities 2040\.\.2103 are searched"):
         create_matcher("window", min_disparity=2040)

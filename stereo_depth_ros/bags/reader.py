@@ -104,7 +104,7 @@ class BagReader:
 
         Args:
             topics: topics to read; None reads all.
-            start_ns, end_ns: first and last log time, both included; None is no limit.
+            start_ns, end_ns: first and last log time, both included; None sets no limit.
 
         Raises:
             BagError: a topic is not in the bag, or the bag is damaged where it is read.

@@ -31,7 +31,7 @@ if sys.version_info >= (3, 14):  # the one that rosbags uses
 else:
     from backports.zstd import ZstdError
 
-__all__ = ["UNREADABLE", "BagSource", "is_bag", "open_sources"]
+__all__ = ["UNREADABLE", "BagSource", "bag_files", "is_bag", "open_sources"]
 
 # raised by rosbags and zstandard at a file that is cut, damaged, or of an unsupported format
 UNREADABLE = (
@@ -93,6 +93,11 @@ def open_sources(path: Path, types: RosbagsTypes, stack: ExitStack) -> list[BagS
         raise BagError("is not a bag, it holds no .mcap or .db3 file", subject=str(path), remedy=f"give {_KINDS}")
     packed_messages = str(metadata.get("compression_mode") or "").lower() == "message"
     return [_open_file(file, types, stack, packed_messages=packed_messages) for file in files]
+
+
+def bag_files(path: Path) -> list[Path]:
+    """Every file of a bag: itself, or all files of its folder."""
+    return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
 
 
 class _RosbagsSource:

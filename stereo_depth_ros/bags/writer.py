@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,8 +14,9 @@ from rosbags.typesys import TypesysError
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.files.output import OutputFile, check_outputs, telling
 
-__all__ = ["BagWriter"]
+__all__ = ["BagWriter", "check_bag_output"]
 
 _COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 
@@ -38,8 +39,7 @@ _LATCHED = f"""\
 class BagWriter:
     """One MCAP file, profile ``ros2``: CDR messages, ``ros2msg`` schemas with every nested definition.
 
-    While it is written the bag is called ``NAME.partial.mcap``; :meth:`close` renames it. When the ``with`` block ends
-    in an exception, what was written stays readable under the partial name and the final name is not touched.
+    The bag appears under its name when it is complete; when the ``with`` block ends in an exception, nothing does.
 
     Args:
         path: file to create, must end in ``.mcap``; missing folders are created.
@@ -48,7 +48,8 @@ class BagWriter:
         overwrite: replace an existing file.
 
     Raises:
-        BagError: wrong suffix, unknown compression, an existing file without ``overwrite``, or it cannot be created.
+        BagError: wrong suffix, or unknown compression.
+        OutputError: an existing file without ``overwrite``, or it cannot be created.
     """
 
     def __init__(
@@ -62,37 +63,17 @@ class BagWriter:
                 remedy="choose one of them",
                 settings=("compression",),
             )
-        if path.suffix != ".mcap":
-            raise BagError(
-                "cannot be written, bags are written as MCAP only",
-                subject=str(path),
-                value=path.suffix,
-                limit=".mcap",
-                remedy="choose a name that ends in .mcap",
-            )
-        if path.exists() and not overwrite:
-            raise BagError(
-                "already exists",
-                subject=str(path),
-                remedy="remove it, choose another name, or allow overwriting",
-                settings=("overwrite",),
-            )
+        _check_name(path)
         self.path = path
         self.message_count = 0
-        self._partial = path.with_suffix(".partial.mcap")
         self._types = RosbagsTypes()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[str, int]] = {}
         self._sequences: dict[int, int] = {}
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self._partial.open("wb")
-        except OSError as error:
-            raise BagError(
-                f"cannot be written ({error.strerror})", subject=str(path), remedy="choose another folder"
-            ) from error
-        self._writer = Writer(self._file, chunk_size=chunk_size, compression=_COMPRESSIONS[compression])
-        self._writer.start(profile="ros2", library="stereo_depth_ros")
+        self._output = OutputFile(path, overwrite=overwrite, make_folders=True)
+        self._writer = Writer(self._output.file, chunk_size=chunk_size, compression=_COMPRESSIONS[compression])
+        with telling(path):
+            self._writer.start(profile="ros2", library="stereo_depth_ros")
 
     def write_raw(
         self,
@@ -109,11 +90,13 @@ class BagWriter:
 
         Raises:
             BagError: the type has no known definition, or the topic already carries another type.
+            OutputError: it cannot be written.
         """
         channel = self._channel(topic, msgtype, latched)
         sequence = self._sequences[channel] = self._sequences.get(channel, 0) + 1
         publish_time = log_time_ns if publish_time_ns is None else publish_time_ns
-        self._writer.add_message(channel, log_time_ns, cdr, publish_time, sequence)
+        with telling(self.path):
+            self._writer.add_message(channel, log_time_ns, cdr, publish_time, sequence)
         self.message_count += 1
 
     def write(self, topic: str, message: Any, stamp_ns: int) -> None:
@@ -122,12 +105,23 @@ class BagWriter:
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record: names and values, such as the parameters that were used."""
-        self._writer.add_metadata(name, dict(values))
+        with telling(self.path):
+            self._writer.add_metadata(name, dict(values))
 
     def close(self) -> None:
-        """Finish the bag and rename it to its final name; a second call does nothing."""
-        if self._finish():
-            self._partial.replace(self.path)
+        """Finish the bag and give it its name; a second call does nothing.
+
+        Raises:
+            OutputError: it cannot be written completely, or a file of this name has been created in the meantime.
+        """
+        if self._output.file.closed:
+            return
+        with self._output, telling(self.path):
+            self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def discard(self) -> None:
+        """Close and remove the unfinished bag."""
+        self._output.discard()
 
     def __enter__(self) -> BagWriter:
         return self
@@ -137,15 +131,8 @@ class BagWriter:
     ) -> None:
         if kind is None:
             self.close()
-        elif self._finish() and not self.message_count:
-            self._partial.unlink()
-
-    def _finish(self) -> bool:
-        if self._file.closed:
-            return False
-        with self._file:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-        return True
+        else:
+            self.discard()
 
     def _channel(self, topic: str, msgtype: str, latched: bool) -> int:
         if topic not in self._channels:
@@ -179,3 +166,27 @@ class BagWriter:
                 ) from error
             self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition.encode())
         return self._schemas[msgtype]
+
+
+def check_bag_output(
+    path: Path, inputs: Iterable[Path], *, reports: Iterable[Path | None] = (), overwrite: bool = False
+) -> None:
+    """:func:`check_outputs` for one bag.
+
+    Raises:
+        BagError: wrong suffix.
+        OutputError: it must not or cannot be written.
+    """
+    _check_name(path)
+    check_outputs([path], inputs, reports=reports, overwrite=overwrite)
+
+
+def _check_name(path: Path) -> None:
+    if path.suffix != ".mcap":
+        raise BagError(
+            "cannot be written, bags are written as MCAP and it does not end in .mcap",
+            subject=str(path),
+            value=path.suffix,
+            limit=".mcap",
+            remedy=f"name it {path.stem}.mcap",
+        )

@@ -1,11 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration boards and where their corners are in an image."""
+"""What all calibration boards share: the corners seen of one, their refinement, and the sharpness of an image."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,18 +15,14 @@ from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import F64, U8
 
 __all__ = [
-    "BOARDS",
     "Board",
     "Corners",
     "check_board_size",
-    "create_board",
     "edge_width_px",
     "is_sharp",
-    "parse_board_size",
     "refine_corners",
 ]
 
-BOARDS = ("chessboard", "charuco", "aprilgrid")
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
 MIN_CORNERS = 8  # 8 points fix the pose of a view (6 numbers) and leave 10 measurements for the rest
 _MAX_HALF_WINDOW = 5  # px
@@ -67,53 +61,6 @@ class Board(Protocol):
 
     def align(self, left: Corners, right: Corners) -> Corners:
         """The right corners in the order of the left ones, where the board itself does not tell its orientation."""
-
-
-def create_board(
-    kind: str,
-    size: tuple[int, int],
-    square_m: float,
-    *,
-    marker_m: float | None = None,
-    dictionary: str = "DICT_4X4_50",
-    spacing: float = 0.3,
-) -> Board:
-    """A board by its name.
-
-    Args:
-        kind: "chessboard", "charuco" or "aprilgrid".
-        size: columns, rows: inner corners of a chessboard, squares of a ChArUco board, tags of an aprilgrid.
-        square_m: side of a square, or of a tag of an aprilgrid, meters.
-        marker_m: side of a marker of a ChArUco board, meters; None is 3/4 of the square.
-        dictionary: markers of a ChArUco board, as OpenCV names them.
-        spacing: gap between the tags of an aprilgrid, as a share of ``square_m``.
-
-    Raises:
-        ConfigError: an unknown kind, a size or a length that cannot be, or an OpenCV without the detector.
-    """
-    from stereo_depth_ros.calibration.chessboard import Chessboard
-    from stereo_depth_ros.calibration.marker_boards import AprilGrid, CharucoBoard
-
-    makers: Mapping[str, Callable[[], Board]] = {
-        "chessboard": lambda: Chessboard(size, square_m),
-        "charuco": lambda: CharucoBoard(size, square_m, 0.75 * square_m if marker_m is None else marker_m, dictionary),
-        "aprilgrid": lambda: AprilGrid(size, square_m, spacing),
-    }
-    if kind not in makers:
-        raise ConfigError(f"board {kind!r} is none of {', '.join(BOARDS)}: name one of them")
-    return makers[kind]()
-
-
-def parse_board_size(text: str) -> tuple[int, int]:
-    """Columns and rows of "9x6".
-
-    Raises:
-        ConfigError: another text.
-    """
-    match = re.fullmatch(r"(\d+)[xX](\d+)", text.strip())
-    if not match:
-        raise ConfigError(f"board size {text!r} is not columns x rows: write it as 9x6")
-    return int(match[1]), int(match[2])
 
 
 def check_board_size(size: tuple[int, int], square_m: float, smallest: int, counted: str) -> None:

@@ -10,26 +10,45 @@ from pathlib import Path
 
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.projection import parameter_names
-from stereo_depth_ros.core.camera_yaml import write_camera
-from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera_yaml import camera_to_yaml
+from stereo_depth_ros.files.output import check_outputs, write_file
 
-__all__ = ["save_calibration"]
+__all__ = ["calibration_files", "save_calibration", "write_camera"]
 
 
-def save_calibration(calibration: StereoCalibration, folder: Path) -> None:
+def calibration_files(folder: Path) -> list[Path]:
+    """What :func:`save_calibration` writes into a folder."""
+    return [folder / name for name in ("left.yaml", "right.yaml", "calibration.json", "calibration.txt")]
+
+
+def save_calibration(calibration: StereoCalibration, folder: Path, *, overwrite: bool = False) -> None:
     """Writes the files into a folder, which is made where it is not there.
 
+    Args:
+        calibration: what was found.
+        folder: where the files go.
+        overwrite: replace the files that are there.
+
     Raises:
-        CalibrationError: they cannot be written.
+        OutputError: one of them is there and ``overwrite`` is false (then none is written), or cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "calibration.json").write_text(json.dumps(calibration.to_json(), indent=2) + "\n", encoding="utf-8")
-        (folder / "calibration.txt").write_text("\n".join(_report(calibration)) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{folder}: cannot be written ({error.strerror}): choose another folder") from error
-    write_camera(folder / "left.yaml", calibration.rig.left, "left")
-    write_camera(folder / "right.yaml", calibration.rig.right, "right")
+    left, right, values, report = calibration_files(folder)
+    check_outputs([left, right, values, report], overwrite=overwrite)
+    text = json.dumps(calibration.to_json(), indent=2)
+    write_file(values, f"{text}\n", overwrite=overwrite, make_folders=True)
+    write_file(report, "\n".join(_report(calibration)) + "\n", overwrite=overwrite)
+    write_camera(left, calibration.rig.left, "left", overwrite=overwrite)
+    write_camera(right, calibration.rig.right, "right", overwrite=overwrite)
+
+
+def write_camera(path: Path, camera: CameraModel, camera_name: str, *, overwrite: bool = False) -> None:
+    """Writes a camera file in the format of ``camera_calibration``, every number with all its digits.
+
+    Raises:
+        OutputError: the file exists and ``overwrite`` is false, or it cannot be written.
+    """
+    write_file(path, camera_to_yaml(camera, camera_name), overwrite=overwrite)
 
 
 def _report(calibration: StereoCalibration) -> Iterator[str]:

@@ -11,25 +11,31 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from stereo_depth_ros.calibration.boards import BOARDS, Board, create_board, parse_board_size
-from stereo_depth_ros.calibration.calibration_files import save_calibration
+from stereo_depth_ros.calibration.board_options import BOARDS, create_board, parse_board_size
+from stereo_depth_ros.calibration.boards import Board
+from stereo_depth_ros.calibration.calibration_files import calibration_files, save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS
 from stereo_depth_ros.calibration.projection import MODELS, check_model
-from stereo_depth_ros.calibration.stereo_calibration import calibrate
+from stereo_depth_ros.calibration.stereo_calibration import calibrate as calibrate_rig
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
+from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import messages, progress_bar, show
 from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.datasets.stereo_images import open_stereo_images
+from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.plots.coverage import coverage_plot
 from stereo_depth_ros.plots.drawing import save_png
 
-__all__ = ["calibrate_command"]
+__all__ = ["app"]
+
+app = new_app()
 
 _LISTED = 5  # names in one warning
 
 
-def calibrate_command(
+@app.command()
+def calibrate(
     place: Annotated[Path, typer.Argument(metavar="BAG|DIR", help="Raw stereo bag, or folder of images.")],
     size: Annotated[str, typer.Option(metavar="9x6", help="Columns x rows: inner corners, squares or tags.")],
     square: Annotated[float, typer.Option(metavar="METERS", help="Side of a square, or of a tag of an aprilgrid.")],
@@ -51,9 +57,8 @@ def calibrate_command(
     right: Annotated[
         str | None, typer.Option(metavar="TOPIC|GLOB", help="Right image topic, or file pattern; found by itself.")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
-    ] = None,
+    json_file: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Calibrate both cameras and the rig from pairs of images of a board.
 
@@ -82,21 +87,20 @@ def calibrate_command(
 
     check_model(model)
     sought = board_of_size(counts)
-    if json_file is not None and not json_file.resolve().parent.is_dir():
-        raise BagError(f"cannot write {json_file}: there is no folder {json_file.parent}: make it, or name another")
     if output.exists() and not output.is_dir():
         raise BagError(f"cannot write into {output}: it is no folder, name another with -o")
-    images = open_stereo_images(place, left, right)
+    images, coverage = open_stereo_images(place, left, right), output / "coverage.png"
+    check_outputs([*calibration_files(output), coverage], images.files, reports=[json_file], overwrite=overwrite)
     with progress_bar("looking for the board") as progress:
         found = find_views(images, sought, board_of_size, progress)
     warnings = [*images.warnings, *_warnings(found)]
     try:
-        result = calibrate(found.views, model)
+        result = calibrate_rig(found.views, model)
     except CalibrationError as error:
         raise CalibrationError(f"{error}{_explained(found)}") from error
-    save_calibration(result, output)
-    save_png(output / "coverage.png", coverage_plot(result))
-    show(_tables(result, found, output), _values(result, found, output), json_file)
+    save_calibration(result, output, overwrite=overwrite)
+    save_png(coverage, coverage_plot(result), overwrite=overwrite)
+    show(_tables(result, found, output), _values(result, found, output), json_file, overwrite=overwrite)
     warnings += [f"{view.name} dropped: {view.reason}" for view in result.dropped]
     for text in (*warnings, *result.warnings):
         messages.print(f"warning: {text}", markup=False)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth convert ...` and `stereo-depth synthesize`: bags from datasets, folders of images, and nothing."""
+"""`stereo-depth convert ...`: bags from datasets and folders of images."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from stereo_depth_ros.cli.options import Overwrite, new_app
 from stereo_depth_ros.cli.output import messages, progress_bar
 from stereo_depth_ros.datasets.dataset import StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
@@ -16,24 +17,19 @@ from stereo_depth_ros.datasets.images import ImagesDataset
 from stereo_depth_ros.datasets.kitti import KittiDataset
 from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
 from stereo_depth_ros.datasets.to_bag import convert_dataset
-from stereo_depth_ros.synthetic.bag import write_synthetic_bag
-from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
-__all__ = ["convert_app", "synthesize"]
+__all__ = ["app"]
 
-convert_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Write a dataset as a stereo bag, with camera infos and, where it is known, the truth on /truth/disparity.",
+app = new_app(
+    "Write a dataset as a stereo bag, with camera infos and, where it is known, the truth on /truth/disparity."
 )
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset.")]
 Output = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Bag to write.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace OUT.mcap where it exists.")]
 Rate = Annotated[float, typer.Option(help="Pairs a second, where the dataset has no times.")]
 
 
-@convert_app.command()
+@app.command()
 def middlebury(
     folder: Folder,
     output: Output,
@@ -56,7 +52,7 @@ def middlebury(
     _convert(dataset, output, 10.0, overwrite)
 
 
-@convert_app.command()
+@app.command()
 def kitti(folder: Folder, output: Output, rate: Rate = 10.0, overwrite: Overwrite = False) -> None:
     """A KITTI odometry or raw sequence, or the training pairs of a stereo benchmark.
 
@@ -67,7 +63,7 @@ def kitti(folder: Folder, output: Output, rate: Rate = 10.0, overwrite: Overwrit
     _convert(KittiDataset(folder), output, rate, overwrite)
 
 
-@convert_app.command()
+@app.command()
 def euroc(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
     """A EuRoC MAV sequence: raw, distorted pairs with the times of the dataset.
 
@@ -78,7 +74,7 @@ def euroc(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
     _convert(EurocDataset(folder), output, 20.0, overwrite)
 
 
-@convert_app.command()
+@app.command()
 def images(
     folder: Folder,
     output: Output,
@@ -97,25 +93,6 @@ def images(
       stereo-depth convert images recording drive.mcap --left-yaml left.yaml --right-yaml right.yaml --rate 15
     """
     _convert(ImagesDataset(folder, left_yaml=left_yaml, right_yaml=right_yaml), output, rate, overwrite)
-
-
-def synthesize(
-    output: Output,
-    frames: Annotated[int, typer.Option(min=1, help="Number of pairs.")] = 20,
-    width: Annotated[int, typer.Option(min=16, help="Of the images, pixels.")] = 640,
-    height: Annotated[int, typer.Option(min=16, help="Of the images, pixels.")] = 480,
-    seed: Annotated[int, typer.Option(min=0, help="Of textures and noise.")] = 7,
-    overwrite: Overwrite = False,
-) -> None:
-    """Write a synthetic stereo bag with exact truth: a room seen by a moving, distorted, verged rig.
-
-    \b
-    Example:
-      stereo-depth synthesize room.mcap --frames 50 --seed 3
-    """
-    with messages.status("rendering"):
-        write_synthetic_bag(output, SyntheticSequence(frames, width, height, seed), overwrite=overwrite)
-    messages.print(f"{frames} pairs written to {output}")
 
 
 def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bool) -> None:

@@ -12,6 +12,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.cli.options import Json, Left, Overwrite, Right, new_app
 from stereo_depth_ros.cli.output import progress_bar, show
 from stereo_depth_ros.cli.tables import facts_table, plain_table
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
@@ -19,9 +21,12 @@ from stereo_depth_ros.diagnosis.doctor import diagnose
 from stereo_depth_ros.diagnosis.finding import Level
 from stereo_depth_ros.diagnosis.survey import StereoSetup
 from stereo_depth_ros.diagnosis.verdict import Diagnosis
+from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.replay.graph_processes import require_ros
 
-__all__ = ["doctor_command"]
+__all__ = ["app"]
+
+app = new_app()
 
 _EXIT_ERROR, _EXIT_LEFT_OUT = 1, 3
 _SHOWN = {
@@ -32,21 +37,21 @@ _SHOWN = {
 }
 
 
-def doctor_command(
+@app.command()
+def doctor(
     bag: Annotated[
         Path | None, typer.Argument(metavar="[BAG]", help="MCAP or .db3 file, or rosbag2 folder; or --live.")
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="Listen to the running graph, in this ROS_DOMAIN_ID.")] = False,
-    left: Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left image topic.")] = None,
-    right: Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic.")] = None,
+    left: Left = None,
+    right: Right = None,
     left_namespace: Annotated[str, typer.Option(metavar="NAME", help="Of the left camera's topics, live.")] = "left",
     right_namespace: Annotated[str, typer.Option(metavar="NAME", help="Of the right camera's topics, live.")] = "right",
     seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="How long to listen, live.")] = 5.0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
-    ] = None,
+    json_file: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
-    """Examine a stereo setup: calibration, stamps, images, rows; say what is wrong and what to do.
+    """Examine a stereo setup: calibration, stamps, images, rows; state what is wrong and what to do.
 
     Topics are found as by `info` in a bag; live they are image_raw (else image_rect) and camera_info in the namespaces,
     or what --left and --right name.
@@ -62,6 +67,7 @@ def doctor_command(
     """
     if live == (bag is not None):
         raise typer.BadParameter("give a BAG, or --live for the running graph", param_hint="BAG")
+    check_outputs((), bag_files(bag) if bag is not None else (), reports=[json_file], overwrite=overwrite)
     if bag is not None:
         with progress_bar("reading") as progress:
             setup = survey_bag(bag, left, right, progress)
@@ -69,7 +75,7 @@ def doctor_command(
         setup = _listen(left, right, left_namespace, right_namespace, seconds)
     with progress_bar("matching features") as progress:
         diagnosis = diagnose(setup, progress)
-    show(_tables(diagnosis), diagnosis.to_json(), json_file)
+    show(_tables(diagnosis), diagnosis.to_json(), json_file, overwrite=overwrite)
     if diagnosis.level is Level.ERROR:
         raise typer.Exit(_EXIT_ERROR)
     if diagnosis.left_out:

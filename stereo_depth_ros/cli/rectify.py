@@ -12,16 +12,18 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from stereo_depth_ros.calibration.calibration_files import write_camera
+from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import messages, show
 from stereo_depth_ros.cli.tables import facts_table
-from stereo_depth_ros.core.camera_yaml import write_camera
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
 from stereo_depth_ros.datasets.image_files import read_image
-from stereo_depth_ros.datasets.rig_files import read_rig
+from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
+from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.geometry.calibrated_rectification import METHODS, common_area, rectify_calibrated
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
@@ -31,13 +33,16 @@ from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.rows import rows_plot
 from stereo_depth_ros.stages.rectification import Rectifier
 
-__all__ = ["rectify_command"]
+__all__ = ["app"]
+
+app = new_app()
 
 _MIN_MATCHES = 20  # to say how far apart rows are
 _AGREE_PX = 3.0  # matches whose rows are further from the others' are wrong ones
 
 
-def rectify_command(
+@app.command()
+def rectify(
     left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left image, raw.")],
     right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right image, raw.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")],
@@ -52,11 +57,10 @@ def rectify_command(
         str | None, typer.Option(metavar="NAME", help=f"Rectify anew: {', '.join(METHODS)}; R and P of the rig else.")
     ] = None,
     alpha: Annotated[float, typer.Option(help="With --method: 0 shows valid pixels only, 1 all raw pixels.")] = 0.0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
-    ] = None,
+    json_file: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
-    """Make the rows of a pair of images agree.
+    """Rectify a pair of images.
 
     With --rig by the calibration. With --uncalibrated features are matched, the fundamental matrix is estimated, and
     two homographies are found that distort least (Loop and Zhang 1999); lenses with distortion need --rig beside it.
@@ -75,6 +79,9 @@ def rectify_command(
         raise ConfigError("neither --rig nor --uncalibrated: give the calibration, or let the images tell the rows")
     if uncalibrated and method is not None:
         raise ConfigError(f"--method {method} takes a calibration, --uncalibrated does without: give one of them")
+    names = ("left.png", "right.png", "rows.png", *(("left.yaml", "right.yaml") if method is not None else ()))
+    inputs = [left, right, *(rig_files(rig) if rig else ())]
+    check_outputs([output / name for name in names], inputs, reports=[json_file], overwrite=overwrite)
     images = _Pair(read_image(left), read_image(right))
     known = read_rig(rig) if rig else None
     raw = match_features(images.left_gray, images.right_gray)
@@ -87,13 +94,14 @@ def rectify_command(
     result |= found
     rectified = _rectified(images, used)
     result |= {"before": _rows(raw), "after": _rows(match_features(rectified.left_gray, rectified.right_gray))}
-    save_png(output / "left.png", rectified.left)
-    save_png(output / "right.png", rectified.right)
-    save_png(output / "rows.png", rows_plot(rectified.left, rectified.right, _title(result)))
+    save_png(output / "left.png", rectified.left, overwrite=overwrite)
+    save_png(output / "right.png", rectified.right, overwrite=overwrite)
+    rows = rows_plot(rectified.left, rectified.right, _title(result))
+    save_png(output / "rows.png", rows, overwrite=overwrite)
     if method is not None and isinstance(used, StereoRig):
-        write_camera(output / "left.yaml", used.left, "left")
-        write_camera(output / "right.yaml", used.right, "right")
-    show([_table(result)], result, json_file)
+        write_camera(output / "left.yaml", used.left, "left", overwrite=overwrite)
+        write_camera(output / "right.yaml", used.right, "right", overwrite=overwrite)
+    show([_table(result)], result, json_file, overwrite=overwrite)
     if uncalibrated and known is None:
         messages.print("warning: lenses were taken to have no distortion: give --rig for those that have")
 

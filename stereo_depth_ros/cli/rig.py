@@ -12,12 +12,14 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from stereo_depth_ros.cli.output import messages, show
+from stereo_depth_ros.cli.options import Json, Left, Overwrite, Params, ParamsFile, Right, new_app
+from stereo_depth_ros.cli.output import messages, parameter_files, show
 from stereo_depth_ros.cli.rig_tables import rig_tables
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.datasets.rig_files import read_rig
+from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
+from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.geometry.depth_range import (
     Precision,
     depth_errors,
@@ -31,13 +33,16 @@ from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.plots.depth_error import depth_error_plot
 from stereo_depth_ros.plots.drawing import save_png
 
-__all__ = ["rig_command"]
+__all__ = ["app"]
+
+app = new_app()
 
 _BASELINES = (0.5, 1.0, 2.0)  # times that of the rig
 _PLOT_POINTS = 300
 
 
-def rig_command(
+@app.command()
+def rig(
     paths: Annotated[
         list[Path], typer.Argument(metavar="LEFT.yaml RIGHT.yaml|DIR|BAG", help="Camera files, their folder, or a bag.")
     ],
@@ -48,22 +53,17 @@ def rig_command(
         float, typer.Option(metavar="PERCENT", help="Depth error, in percent of the depth, that is still of use.")
     ] = 5.0,
     matcher: Annotated[str | None, typer.Option(metavar="NAME", help="Method whose disparity step counts.")] = None,
-    param: Annotated[
-        list[str] | None, typer.Option("--param", "-p", metavar="NAME:=VALUE", help="A parameter; may be repeated.")
-    ] = None,
-    params_file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="ROS parameter file; --param wins over it.")
-    ] = None,
-    left: Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left image topic of the bag.")] = None,
-    right: Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic of the bag.")] = None,
+    param: Params = None,
+    params_file: ParamsFile = None,
+    left: Left = None,
+    right: Right = None,
     image: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw the depth error over the distance.")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - is stdout.")
-    ] = None,
+    json_file: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
-    """Say what a rig can see: fields of view, range, depth error at each meter, and the disparity range it takes.
+    """Compute what a rig can see: fields of view, range, depth error at each meter, disparity range.
 
     DIR holds left.yaml and right.yaml in the format of camera_calibration; one of two such files finds its partner
     beside it. Of a bag the first camera infos are read.
@@ -78,8 +78,10 @@ def rig_command(
       stereo-depth rig calibration --nearest 0.4 --max-error 2 --image error.png
       stereo-depth rig drive.mcap --param disparity_range:=128 --param disparity_sigma_px:=0.1 --json - | jq .limits
     """
-    rig = read_rig(paths, left, right)
     values = {**(read_params_file(params_file) if params_file else {}), **parse_assignments(param or (), matcher)}
+    inputs = [*rig_files(paths), *parameter_files(params_file, values)]
+    check_outputs([image] if image is not None else [], inputs, reports=[json_file], overwrite=overwrite)
+    rig = read_rig(paths, left, right)
     config = pipeline_config(values)
     step_px = matcher_from_config(config.matching).step_px
     precision = Precision(step_px, config.depth.disparity_sigma_px, max_error / 100)
@@ -89,9 +91,9 @@ def rig_command(
     survey = _Survey(rig, config.matching if given else recommended, precision)
     result = survey.to_json() | {"recommended": {"nearest_m": nearest_m, **_search_values(recommended)}}
     if image is not None:
-        save_png(image, survey.image())
+        save_png(image, survey.image(), overwrite=overwrite)
         result["image"] = str(image)
-    show(rig_tables(result, given), result, json_file)
+    show(rig_tables(result, given), result, json_file, overwrite=overwrite)
     own = next(item for item in result["limits"] if item["baseline_factor"] == 1)
     if own["nearest_m"] >= own["farthest_m"]:
         messages.print(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters: one frozen dataclass per stage and per matching method; everything that knows a parameter reads them."""
+"""Parameters: one frozen dataclass per stage and per matching method, the single source of all parameter metadata."""
 
 from stereo_depth_ros.config.matching import MatchingConfig
 from stereo_depth_ros.config.parameter import ParameterInfo, parameter_infos, replace_checked, unknown_parameter

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the matchers: a frozen dataclass for what they share and one for each method; a node has them all."""
+"""Parameters of the matchers: a frozen dataclass for the common ones and one for each method."""
 
 from __future__ import annotations
 
@@ -17,57 +17,81 @@ _NUMBERED = ", ".join(f"{number} {name}" for number, name in enumerate(MATCHERS)
 
 @dataclass(frozen=True)
 class SearchConfig(Checked):
-    """The matcher, the disparities it searches, and the checks that follow."""
+    """Matcher, search range and the checks that follow."""
 
-    stereo_algorithm: int = parameter(matcher_number("sgm"), f"Matcher: {_NUMBERED}.", low=0, high=len(MATCHERS) - 1)
-    min_disparity: int = parameter(0, "Disparity at which the search begins.", low=-2048, high=2048, unit="px")
+    stereo_algorithm: int = parameter(
+        matcher_number("sgm"), f"Matching method: {_NUMBERED}.", low=0, high=len(MATCHERS) - 1
+    )
+    min_disparity: int = parameter(0, "Smallest disparity searched.", low=-2048, high=2048, unit="px")
     num_disparities: int = parameter(
         64, "Number of disparities searched.", name="disparity_range", low=32, high=4096, step=16, unit="px"
     )
     uniqueness_ratio: float = parameter(
-        15.0, "Margin by which the best cost must win over the second.", low=0.0, high=100.0, unit="%"
+        15.0,
+        "Margin by which the best cost must be better than the second best; 0 disables the check.",
+        low=0.0,
+        high=100.0,
+        unit="%",
     )
     disp12_max_diff: int = parameter(
         0,
-        "Tolerance of the left-right check; 0 is 1 px for sgbm and sgm, no check for the others.",
+        "Tolerance of the left-right check; with 0, sgbm and sgm use 1 px and the others do not check.",
         low=0,
         high=128,
         unit="px",
     )
     speckle_size: int = parameter(
-        100, "Components of at most this many pixels are removed; 0 keeps all.", low=0, high=1000, unit="px"
+        100,
+        "Largest connected component that is removed as a speckle; 0 disables the filter.",
+        low=0,
+        high=1000,
+        unit="px",
     )
     speckle_range: int = parameter(
-        4, "Largest step between neighbors of one component: in 1/16 px for bm, in px for the others.", low=0, high=31
+        4,
+        "Largest disparity difference between neighbors of a component: in 1/16 px for bm, in px for the others.",
+        low=0,
+        high=31,
     )
     correlation_window_size: int = parameter(
-        15, "Side of the square matching window.", low=1, high=255, step=2, unit="px"
+        15, "Side length of the square matching window.", low=1, high=255, step=2, unit="px"
     )
-    fill_holes: bool = parameter(False, "Gives every pixel a disparity, holes that of the farther surface beside them.")
+    fill_holes: bool = parameter(
+        False, "Fill invalid pixels with the smaller of the nearest disparities to the left and right, the background."
+    )
 
 
 @dataclass(frozen=True)
 class BlockMatchingConfig(Checked):
-    """Of ``bm``; ``sgbm`` has the cap, too."""
+    """Parameters of ``bm``; ``sgbm`` also uses the cap."""
 
     prefilter_size: int = parameter(
-        9, "Window of the normalized-response prefilter.", low=5, high=255, step=2, unit="px"
+        9,
+        "Window of the normalized-response prefilter; no effect, since the Sobel prefilter is used.",
+        low=5,
+        high=255,
+        step=2,
+        unit="px",
     )
-    prefilter_cap: int = parameter(31, "Bound on the prefiltered pixel values.", low=1, high=63)
-    texture_threshold: int = parameter(10, "Least sum of prefiltered gradient in the window.", low=0, high=10000)
+    prefilter_cap: int = parameter(31, "Limit to which prefilter responses are clipped.", low=1, high=63)
+    texture_threshold: int = parameter(
+        10, "Minimum sum of absolute prefilter responses in the window.", low=0, high=10000
+    )
 
 
 @dataclass(frozen=True)
 class SgbmConfig(Checked):
-    """Of ``sgbm``."""
+    """Parameters of ``sgbm``."""
 
-    sgbm_mode: int = parameter(0, "0 five paths, 1 eight paths, 2 three paths, 3 four paths.", low=0, high=3)
+    sgbm_mode: int = parameter(
+        0, "Path directions: 0 five (SGBM), 1 eight (HH), 2 three (3WAY), 3 four (HH4).", low=0, high=3
+    )
     P1: float = parameter(
-        0.0, "Penalty on disparity steps of one pixel; 0 is 8 times the area of the window.", low=0.0, high=4000.0
+        0.0, "Penalty on disparity changes of 1 px; 0 means 8 times the window area.", low=0.0, high=4000.0
     )
     P2: float = parameter(
         0.0,
-        "Penalty on larger disparity steps, above P1; 0 is 32 times the area of the window.",
+        "Penalty on larger disparity changes, above P1; 0 means 32 times the window area.",
         low=0.0,
         high=4000.0,
     )
@@ -75,69 +99,78 @@ class SgbmConfig(Checked):
 
 @dataclass(frozen=True)
 class SgmConfig(Checked):
-    """Of ``sgm``."""
+    """Parameters of ``sgm``."""
 
-    sgm_paths: int = parameter(4, "Directions that costs are summed along: 4 or 8.", low=4, high=8, step=4)
-    sgm_P1: int = parameter(30, "Penalty on disparity steps of one pixel, in census bits.", low=1, high=96)
+    sgm_paths: int = parameter(4, "Number of path directions, 4 or 8.", low=4, high=8, step=4)
+    sgm_P1: int = parameter(30, "Penalty on disparity changes of 1 px, in census bits.", low=1, high=96)
     sgm_P2: int = parameter(
-        150, "Penalty on larger disparity steps where the image is flat, in census bits.", low=2, high=192
+        150, "Penalty on larger disparity changes, in census bits; lower at intensity edges.", low=2, high=192
     )
     disparity_filter: str = parameter(
-        "mean", "Mean of neighbors that differ by up to 1 px, or median.", choices=("none", "mean", "median")
+        "mean",
+        "Disparity filter: mean of the 5 x 5 neighbors that differ by at most 1 px, or 3 x 3 median.",
+        choices=("none", "mean", "median"),
     )
 
 
 @dataclass(frozen=True)
 class CorrelationConfig(Checked):
-    """Of ``window`` and ``adaptive_window``."""
+    """Parameters of ``window`` and ``adaptive_window``."""
 
     window_cost: str = parameter(
-        "sad", "Dissimilarity of two windows.", choices=("sad", "ssd", "zsad", "zssd", "ncc", "zncc")
+        "sad", "Matching cost of two windows.", choices=("sad", "ssd", "zsad", "zssd", "ncc", "zncc")
     )
     max_difference: int = parameter(
-        0, "Bound on the difference of two pixels, against outliers in a window; 0 is none.", low=0, high=255
+        0, "Truncation of the absolute difference of two pixels, with sad only; 0 disables it.", low=0, high=255
     )
     vertical_search: int = parameter(
-        0, "Rows searched above and below, for pairs that are not quite rectified.", low=0, high=16, unit="px"
+        0, "Rows searched above and below, for imperfectly rectified pairs.", low=0, high=16, unit="px"
     )
 
 
 @dataclass(frozen=True)
 class DiffusionConfig(Checked):
-    """Of ``diffusion``."""
+    """Parameters of ``diffusion``."""
 
-    diffusion_model: str = parameter("bayesian", "How support is gathered.", choices=("bayesian", "membrane"))
+    diffusion_model: str = parameter(
+        "bayesian", "Diffusion of support between neighbors.", choices=("bayesian", "membrane")
+    )
 
 
 @dataclass(frozen=True)
 class GlobalMethodConfig(Checked):
-    """Of ``scanline``, ``graph_cut`` and ``belief_propagation``; ``diffusion`` has iterations, too."""
+    """Parameters of ``scanline``, ``graph_cut`` and ``belief_propagation``; ``diffusion`` also uses the iterations."""
 
-    iterations: int = parameter(0, "Iterations; 0 takes the method's own.", low=0, high=1000)
+    iterations: int = parameter(0, "Number of iterations; 0 uses the default of the method.", low=0, high=1000)
     smoothness: float = parameter(
-        0.0, "Weight of smoothness against the data; 0 takes the method's own.", low=0.0, high=1000.0
+        0.0,
+        "Cost of a disparity change of 1 px, in gray levels; 0 uses the default of the method.",
+        low=0.0,
+        high=1000.0,
     )
 
 
 @dataclass(frozen=True)
 class FeatureConfig(Checked):
-    """Of ``features``."""
+    """Parameters of ``features``."""
 
     feature_type: str = parameter(
-        "sift", "What is matched: sift or orb corners, or line segments.", choices=("sift", "orb", "lines")
+        "sift", "Features to match: SIFT corners, ORB corners or line segments.", choices=("sift", "orb", "lines")
     )
 
 
 @dataclass(frozen=True)
 class OnnxConfig(Checked):
-    """Of ``onnx``."""
+    """Parameters of ``onnx``."""
 
-    onnx_model: str = parameter("", "Path of the network, two images in and a disparity out.", run_time=False)
+    onnx_model: str = parameter(
+        "", "Path of the ONNX file of the network, two images in and a disparity map out.", run_time=False
+    )
 
 
 @dataclass(frozen=True)
 class MatchingConfig(
-    OnnxConfig,  # fields stand in the reverse order of the bases
+    OnnxConfig,  # dataclass fields are in the reverse order of the bases
     FeatureConfig,
     GlobalMethodConfig,
     DiffusionConfig,
@@ -147,12 +180,18 @@ class MatchingConfig(
     BlockMatchingConfig,
     SearchConfig,
 ):
-    """The matcher, its search, its costs and its checks; a sentence ends with the matchers it is for, or is for all."""
+    """All matching parameters; those that not every matcher uses name their matchers."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.stereo_algorithm == matcher_number("sgbm") and self.P2 and self.P2 <= self.P1:
-            raise ConfigError(f"P2 = {self.P2:g} is not above P1 = {self.P1:g}: raise P2 or lower P1")
+            raise ConfigError(
+                f"P2 = {self.P2:g} is not above P1 = {self.P1:g}",
+                value=self.P2,
+                limit=self.P1,
+                remedy="raise P2 or lower P1",
+                settings=("P2", "P1"),
+            )
 
     @property
     def max_disparity(self) -> int:

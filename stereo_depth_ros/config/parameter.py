@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of a parameter: name, type, default, range, step, unit and one sentence; and the check of a value."""
+"""Metadata of a parameter (name, type, default, range, step, unit, description) and the check of a value."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ConfigT = TypeVar("ConfigT")
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """What is known of one parameter: its outside name, field, type, default, range, unit and sentence."""
+    """Metadata of one parameter: public name, field, type, default, description, range and unit."""
 
     name: str
     field: str
@@ -38,7 +38,7 @@ class ParameterInfo:
 
     @property
     def range_text(self) -> str:
-        """Range, step and unit, or the choices, in words; empty where there is none."""
+        """Range, step and unit, or the choices, as text; empty if there are none."""
         if self.choices:
             return ", ".join(self.choices)
         if self.low is None or self.high is None:
@@ -47,48 +47,63 @@ class ParameterInfo:
         return f"{self.low:g} to {self.high:g}{step} {self.unit}".rstrip()
 
     def check(self, value: Any) -> bool | int | float | str:
-        """The value in the parameter's type; ConfigError with value, limit and remedy where it cannot be."""
+        """The value in the type of the parameter.
+
+        Raises:
+            ConfigError: another type, not one of the choices, or out of range.
+        """
         if self.type is float and type(value) is int:
             value = float(value)
         if type(value) is not self.type:
-            raise ConfigError(
-                f"parameter {self.name} = {value!r} is {type(value).__name__}, it takes {self.type.__name__}: "
-                f"write it as {self.type.__name__}, for example {self.default!r}"
+            raise self._error(
+                value,
+                f"is {type(value).__name__}, it takes {self.type.__name__}",
+                self.type.__name__,
+                f"write it as {self.type.__name__}, for example {self.default!r}",
             )
         if self.choices and value not in self.choices:
-            raise ConfigError(
-                f"parameter {self.name} = {value!r} is none of {', '.join(self.choices)}: take one of them"
-            )
+            raise self._error(value, f"is not one of {', '.join(self.choices)}", self.choices, "use one of them")
         if isinstance(value, (str, bool)):
             return value
         assert isinstance(value, (int, float))
         if self.low is not None and self.high is not None and not self.low <= value <= self.high:
-            raise ConfigError(
-                f"parameter {self.name} = {value} is outside {self.low:g}..{self.high:g}: set it inside that range"
-            )
+            limit = (self.low, self.high)
+            raise self._error(value, f"is outside {self.low:g}..{self.high:g}", limit, "set it inside that range")
         if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigError(f"parameter {self.name} = {value} is not finite: set a number")
+            raise self._error(value, "is not finite", "a finite number", "set a number")
         if self.step and self.low is not None and (value - self.low) % self.step:
             below = value - (value - self.low) % self.step
-            raise ConfigError(
-                f"parameter {self.name} = {value} is not {self.low:g} plus a multiple of {self.step:g}: "
-                f"take {below:g} or {below + self.step:g}"
+            raise self._error(
+                value,
+                f"is not {self.low:g} plus a multiple of {self.step:g}",
+                self.step,
+                f"use {below:g} or {below + self.step:g}",
             )
         return value
 
+    def _error(self, value: Any, problem: str, limit: object, remedy: str) -> ConfigError:
+        return ConfigError(
+            f"parameter {self.name} = {value!r} {problem}",
+            value=value,
+            limit=limit,
+            remedy=remedy,
+            settings=(self.name,),
+        )
+
 
 def parameter(default: bool | int | float | str, doc: str, **info: Any) -> Any:
+    """A dataclass field with the metadata of :class:`ParameterInfo`."""
     return field(default=default, metadata={"doc": doc, **info})
 
 
 def parameter_infos(config: type | object) -> Iterator[ParameterInfo]:
-    """All parameters of a config class, in the order of its fields."""
+    """Metadata of all parameters of a config class, in the order of its fields."""
     for item in dataclasses.fields(config):  # type: ignore[arg-type]
         info = dict(item.metadata)
         name = info.pop("name", item.name)
         matchers = matchers_with(name)
         if matchers and len(matchers) < len(MATCHERS):
-            info["doc"] = f"{info['doc'].removesuffix('.')}; {_listed(matchers)}."
+            info["doc"] = f"{info['doc']} For {_listed(matchers)}."
         yield ParameterInfo(
             name=name,
             field=item.name,
@@ -99,20 +114,21 @@ def parameter_infos(config: type | object) -> Iterator[ParameterInfo]:
 
 
 def _listed(matchers: tuple[str, ...]) -> str:
-    """The matchers, or where they are most of them, those that are missing."""
+    """The matchers, or the missing ones if those are fewer."""
     others = [name for name in MATCHERS if name not in matchers]
     return f"all but {', '.join(others)}" if len(others) < len(matchers) else ", ".join(matchers)
 
 
 def unknown_parameter(name: str, known: Iterable[str]) -> ConfigError:
-    """The error to raise for a name that no parameter has; it names the one that was probably meant."""
-    close = difflib.get_close_matches(name, known, 1)
-    remedy = f"did you mean {close[0]!r}?" if close else "`stereo-depth parameters` lists all"
-    return ConfigError(f"unknown parameter {name!r}: {remedy}")
+    """The error for a name that is not a parameter, with the closest known name if there is one."""
+    names = tuple(known)
+    close = difflib.get_close_matches(name, names, 1)
+    remedy = f"did you mean {close[0]!r}?" if close else "see the table of parameters"
+    return ConfigError(f"unknown parameter {name!r}", value=name, limit=names, remedy=remedy)
 
 
 class Checked:
-    """Checks every field against its metadata when the object is made."""
+    """Base of the configs: checks every field against its metadata."""
 
     def __post_init__(self) -> None:
         for info in parameter_infos(self):
@@ -120,10 +136,10 @@ class Checked:
 
 
 def replace_checked(config: ConfigT, changes: Mapping[str, Any]) -> ConfigT:
-    """A copy of ``config`` with the values of ``changes``, keyed by outside name or field name.
+    """A copy of ``config`` with the values of ``changes``, keyed by public name or field name.
 
     Raises:
-        ConfigError: unknown key, or a value that the config refuses.
+        ConfigError: unknown key or invalid value.
     """
     fields = {key: info.field for info in parameter_infos(config) for key in (info.name, info.field)}
     for key in changes:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the stages and nodes: one frozen dataclass each.
 
-Everything else that knows a parameter (declared ROS parameters and their descriptors, ``config/*.yaml``, command-line
-options, the README's table) is made from the metadata here.
+Declared ROS parameters and their descriptors, ``config/*.yaml``, command-line options and the table in the README are
+generated from the metadata here.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ __all__ = [
 
 @dataclass(frozen=True)
 class PairingConfig(Checked):
-    """How left and right images, and their camera infos, are brought together."""
+    """Input images and the pairing of left and right."""
 
-    queue_size: int = parameter(
-        5, "Unpaired images kept per camera while the other camera is awaited.", low=1, high=1000, run_time=False
+    queue_size: int = parameter(5, "Number of unpaired images kept per camera.", low=1, high=1000, run_time=False)
+    approximate_sync: bool = parameter(
+        False, "Pair images with different stamps; if false, stamps must be equal.", run_time=False
     )
-    approximate_sync: bool = parameter(False, "Pair stamps that differ; false pairs equal stamps only.", run_time=False)
     approximate_sync_tolerance_seconds: float = parameter(
         0.0,
-        "Largest stamp difference within an approximate pair, itself included; 0 means no limit.",
+        "Largest stamp difference within an approximate pair, inclusive; 0 means no limit.",
         low=0.0,
         high=3600.0,
         unit="s",
@@ -45,14 +45,14 @@ class PairingConfig(Checked):
 
     image_transport: str = parameter(
         "raw",
-        "How images come in: raw, or compressed (topic with /compressed behind it).",
+        "Transport of the input images: raw or compressed (topics with the suffix /compressed).",
         choices=("raw", "compressed"),
         run_time=False,
     )
 
     @property
     def tolerance_ns(self) -> int | None:
-        """Largest difference of stamps in a pair, in nanoseconds; None is no limit."""
+        """Largest stamp difference within a pair, nanoseconds; None means no limit."""
         if not self.approximate_sync:
             return 0
         return round(self.approximate_sync_tolerance_seconds * 1e9) or None
@@ -64,12 +64,12 @@ class DepthConfig(Checked):
 
     depth_encoding: str = parameter(
         "32FC1",
-        "Depth image: 32FC1 is meters with NaN, 16UC1 is millimeters with 0 (REP 118).",
+        "Encoding of the depth image (REP 118): 32FC1 in meters, invalid NaN, or 16UC1 in millimeters, invalid 0.",
         choices=("32FC1", "16UC1"),
     )
     disparity_sigma_px: float = parameter(
         0.25,
-        "Standard deviation of a disparity, from which sigma_Z = Z^2 / (f B) sigma_d.",
+        "Standard deviation of a disparity, for the depth uncertainty sigma_Z = Z^2 / (f B) sigma_d.",
         low=0.0,
         high=16.0,
         unit="px",
@@ -80,75 +80,91 @@ class DepthConfig(Checked):
 class CloudConfig(Checked):
     """The point cloud."""
 
-    avoid_point_cloud_padding: bool = parameter(False, "Pack points without padding: 16 bytes with color, 12 without.")
+    avoid_point_cloud_padding: bool = parameter(
+        False, "Pack points without padding: 16 bytes per point with color, 12 without."
+    )
     use_color: bool = parameter(True, "Color the points with the left image.")
 
 
 @dataclass(frozen=True)
 class CalibrationMonitorConfig(Checked):
-    """The health of the calibration, which health_node watches."""
+    """Calibration monitoring."""
 
     health_rate: float = parameter(
-        2.0, "Pairs looked at a second; 0 looks at every one.", low=0.0, high=100.0, unit="Hz"
+        2.0, "Rate at which pairs are checked; 0 checks every pair.", low=0.0, high=100.0, unit="Hz"
     )
     row_error_limit: float = parameter(
         1.0, "Median row error of matched features above which the node warns.", low=0.1, high=20.0, unit="px"
     )
     auto_correct: bool = parameter(
-        False, "Publish right/camera_info_corrected, with the misalignment taken back.", run_time=False
+        False, "Publish right/camera_info_corrected, which compensates the estimated misalignment.", run_time=False
     )
     correction_limit: float = parameter(
-        1.0, "Largest rotation that is corrected, about each axis.", low=0.01, high=5.0, unit="deg", run_time=False
+        1.0, "Largest rotation that is corrected, per axis.", low=0.01, high=5.0, unit="deg", run_time=False
     )
     correct_yaw: bool = parameter(
-        False, "Watch yaw, and correct it, beyond reference_yaw; false only tells it.", run_time=False
+        False, "Monitor and correct yaw relative to reference_yaw; if false, yaw is only reported.", run_time=False
     )
     reference_yaw: float = parameter(
-        0.0, "Yaw that the rig shows when it is healthy.", low=-5.0, high=5.0, unit="deg", run_time=False
+        0.0, "Yaw measured while the calibration is good.", low=-5.0, high=5.0, unit="deg", run_time=False
     )
 
 
 @dataclass(frozen=True)
 class CalibrationConfig(Checked):
-    """Calibration with a board, which calibration_node does."""
+    """Calibration with a board."""
 
     board: str = parameter(
-        "chessboard", "What is shown to the cameras.", choices=("chessboard", "charuco", "aprilgrid"), run_time=False
+        "chessboard", "Type of calibration board.", choices=("chessboard", "charuco", "aprilgrid"), run_time=False
     )
     board_size: str = parameter(
-        "9x6", "Columns x rows: inner corners of a chessboard, squares of a charuco board, tags.", run_time=False
+        "9x6",
+        "Columns x rows: inner corners of a chessboard, squares of a charuco board, tags of an aprilgrid.",
+        run_time=False,
     )
     board_square: float = parameter(
-        0.025, "Side of a square, or of a tag of an aprilgrid.", low=0.001, high=1.0, unit="m", run_time=False
+        0.025, "Side length of a square, or of a tag of an aprilgrid.", low=0.001, high=1.0, unit="m", run_time=False
     )
     board_marker: float = parameter(
-        0.0, "Side of a marker of a charuco board; 0 is 3/4 of a square.", low=0.0, high=1.0, unit="m", run_time=False
+        0.0,
+        "Side length of a marker of a charuco board; 0 means 3/4 of a square.",
+        low=0.0,
+        high=1.0,
+        unit="m",
+        run_time=False,
     )
     board_dictionary: str = parameter(
-        "DICT_4X4_50", "Markers of a charuco board, as OpenCV names them.", run_time=False
+        "DICT_4X4_50", "Marker dictionary of a charuco board, by its OpenCV name.", run_time=False
     )
     board_spacing: float = parameter(
-        0.3, "Gap between the tags of an aprilgrid, over a tag's side.", low=0.01, high=2.0, run_time=False
+        0.3,
+        "Gap between the tags of an aprilgrid, as a fraction of the side of a tag.",
+        low=0.01,
+        high=2.0,
+        run_time=False,
     )
     lens_model: str = parameter(
         "plumb_bob",
-        "Distortion model of both lenses.",
+        "Distortion model of both cameras.",
         choices=("plumb_bob", "rational_polynomial", "equidistant"),
         run_time=False,
     )
     max_board_motion: float = parameter(
         2.0,
-        "Way of the corners between two pairs above which a view is not taken; 0 takes all.",
+        "Corner motion between pairs above which a view is rejected; 0 accepts all.",
         low=0.0,
         high=100.0,
         unit="px",
     )
-    calibration_folder: str = parameter("calibration", "Where ~/save writes left.yaml, right.yaml and the report.")
+    calibration_folder: str = parameter(
+        "calibration", "Folder in which ~/save writes left.yaml, right.yaml and the report."
+    )
+    overwrite: bool = parameter(False, "Whether ~/save replaces existing files.")
 
 
 @dataclass(frozen=True)
 class PipelineConfig:
-    """All stages of the path."""
+    """Parameters of all stages of the pipeline."""
 
     pairing: PairingConfig = PairingConfig()
     matching: MatchingConfig = MatchingConfig()
@@ -156,7 +172,7 @@ class PipelineConfig:
     cloud: CloudConfig = CloudConfig()
 
 
-# By the names of the tables: the stages of the path, and what nodes beside it take
+# By the names of the tables: the stages of the pipeline, and nodes beside it
 CONFIGS: Mapping[str, type] = {
     **{item.name: type(item.default) for item in dataclasses.fields(PipelineConfig)},
     "health": CalibrationMonitorConfig,

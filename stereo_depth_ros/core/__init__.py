@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Core data types, the camera and rig model, pairing and compiled kernels; no ROS, no files of datasets or bags."""
+"""Data types, camera and rig models, pairing and compiled kernels; no ROS, bags or datasets."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled kernels, and running them over bands of image rows on all cores."""
+"""Parallel execution of kernels over bands of image rows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["core_count", "run_bands"]
 
 def core_count() -> int:
     """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):  # Linux: what taskset and containers leave us
+    if hasattr(os, "sched_getaffinity"):  # Linux: respects taskset and containers
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
@@ -32,16 +32,16 @@ os.register_at_fork(after_in_child=_pool.cache_clear)
 def run_bands(kernel: Callable[..., None], rows: int, *args: object, min_rows: int = 64) -> None:
     """Calls ``kernel(first_row, last_row, *args)`` for bands that together cover rows 0 to ``rows``, last exclusive.
 
-    One band a core, of at least ``min_rows`` rows (the whole when there are fewer); the calling thread works too.
-    Returns when all bands are done. Numba's own ``parallel=True`` is not used: its workqueue layer must not be entered
-    by two Python threads at once, and its OpenMP layer is not everywhere.
+    One band per core, of at least ``min_rows`` rows (a single band if there are fewer); the calling thread works too.
+    Returns when all bands are done. Numba's ``parallel=True`` is not used: its workqueue layer is not thread-safe, and
+    its OpenMP layer is not available everywhere.
 
     Args:
-        kernel: releases the interpreter lock, or bands run one after the other.
-        rows: 0 calls nothing.
+        kernel: must release the GIL, otherwise the bands run one after the other.
+        rows: with 0 nothing is called.
 
     Raises:
-        Exception: the first that a band raised, after all bands have ended.
+        Exception: the first one raised by a band, after all bands have ended.
     """
     if rows <= 0:
         return
@@ -52,7 +52,7 @@ def run_bands(kernel: Callable[..., None], rows: int, *args: object, min_rows: i
     errors: list[BaseException] = []
     _collect(calls[0], errors)
     for future, call in others:
-        # A band that no thread has begun is done here: no waiting behind other callers, no deadlock when nested.
+        # Bands not yet started run here: no waiting for other callers, no deadlock when nested.
         _collect(call if future.cancel() else future.result, errors)
     if errors:
         raise errors[0]
@@ -61,5 +61,5 @@ def run_bands(kernel: Callable[..., None], rows: int, *args: object, min_rows: i
 def _collect(call: Callable[[], None], errors: list[BaseException]) -> None:
     try:
         call()
-    except BaseException as error:  # re-raised once no band touches the buffers any more
+    except BaseException as error:  # re-raised when no band uses the buffers any more
         errors.append(error)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One camera, and what its matrices must be."""
+"""Camera model, and the checks of its matrices."""
 
 from __future__ import annotations
 
@@ -19,20 +19,19 @@ _COEFFICIENTS: Mapping[str, tuple[int, ...]] = {
     "rational_polynomial": (8, 12, 14),
     "equidistant": (4,),
 }
-_NOT_SET = "is all zero, which means not set: calibrate the camera, or fill it in"
 _K_FORM = ("K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
 _P_FORM = ("P", "[[fx, 0, cx, -fx * baseline], [0, fy, cy, 0], [0, 0, 1, 0]]")
 
 
 @dataclass(frozen=True, eq=False)
 class CameraModel:
-    """One camera as ``sensor_msgs/CameraInfo`` describes it, for the image it really delivers.
+    """One camera as ``sensor_msgs/CameraInfo`` describes it, for the image as published.
 
     Attributes:
         width, height: size of the image in pixels, after region of interest and binning.
         distortion_model: "plumb_bob", "rational_polynomial" or "equidistant".
         K: float64 (3, 3), intrinsics of the raw image, px.
-        D: float64 (n,), coefficients of the distortion model; empty is none for plumb_bob.
+        D: float64 (n,), coefficients of the distortion model; for plumb_bob, empty means no distortion.
         R: float64 (3, 3), rotation from the camera to the rectified camera.
         P: float64 (3, 4), projection of the rectified image, px and px * m; P[0, 3] = -fx * baseline for the right
             camera.
@@ -55,29 +54,46 @@ class CameraModel:
         for name, columns in (("K", 3), ("R", 3), ("P", 4)):
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.size != 3 * columns:
-                raise CalibrationError(f"{name} has {values.size} values, it takes 3 x {columns}: write all of them")
+                raise CalibrationError(
+                    f"{name} has {values.size} values, it takes 3 x {columns}",
+                    value=values.size,
+                    limit=3 * columns,
+                    remedy="write all of them",
+                )
             object.__setattr__(self, name, values.reshape(3, columns))
         object.__setattr__(self, "D", np.array(self.D, dtype=np.float64).ravel())
 
     def rectified(self) -> CameraModel:
-        """The camera whose raw images are this one's rectified images: K of P, no distortion, no rotation."""
+        """The camera whose raw images are the rectified images of this one: K from P, no distortion, no rotation."""
         return replace(self, distortion_model="plumb_bob", K=self.P[:, :3], D=np.zeros(5), R=np.identity(3))
 
 
 def check_intrinsics(camera: CameraModel, label: str) -> None:
-    """Raise CalibrationError, which begins with ``label``, where size, distortion model, K or D cannot be."""
+    """Raise CalibrationError with subject ``label`` where the size, the distortion model, K or D is not possible."""
     if camera.width < 1 or camera.height < 1:
-        raise CalibrationError(f"{label}: size {camera.width}x{camera.height} is empty: set width and height")
+        raise CalibrationError(
+            f"size {camera.width}x{camera.height} is empty",
+            subject=label,
+            value=(camera.width, camera.height),
+            limit=(1, 1),
+            remedy="set width and height",
+        )
     if camera.distortion_model not in _COEFFICIENTS:
         raise CalibrationError(
-            f"{label}: distortion_model {camera.distortion_model!r} is none of {', '.join(_COEFFICIENTS)}: "
-            "calibrate with one of them, or set plumb_bob and zeros for an image without distortion"
+            f"distortion_model {camera.distortion_model!r} is not one of {', '.join(_COEFFICIENTS)}",
+            subject=label,
+            value=camera.distortion_model,
+            limit=tuple(_COEFFICIENTS),
+            remedy="calibrate with one of them, or set plumb_bob and zeros for an image without distortion",
         )
     counts = _COEFFICIENTS[camera.distortion_model]
     if camera.D.size not in counts:
         raise CalibrationError(
-            f"{label}: D has {camera.D.size} coefficients, {camera.distortion_model} takes "
-            f"{' or '.join(map(str, counts))}: set as many, or the distortion_model they belong to"
+            f"D has {camera.D.size} coefficients, {camera.distortion_model} takes {' or '.join(map(str, counts))}",
+            subject=label,
+            value=camera.D.size,
+            limit=counts,
+            remedy="set as many, or the distortion_model they belong to",
         )
     _check_finite(camera, label, "K", "D")
     _check_set(camera, label, "K")
@@ -85,10 +101,10 @@ def check_intrinsics(camera: CameraModel, label: str) -> None:
 
 
 def check_rectification(camera: CameraModel, label: str) -> None:
-    """Raise CalibrationError, which begins with ``label``, where R or P cannot be."""
+    """Raise CalibrationError with subject ``label`` where R or P is not possible."""
     _check_finite(camera, label, "R", "P")
     _check_set(camera, label, "R", "P")
-    check_rotation(camera.R, f"{label}: R")
+    check_rotation(camera.R, "R", label)
     _check_form(camera.P, label, *_P_FORM)
 
 
@@ -97,33 +113,54 @@ def _check_finite(camera: CameraModel, label: str, *names: str) -> None:
         values = getattr(camera, name)
         if not np.isfinite(values).all():
             raise CalibrationError(
-                f"{label}: {name} has a value that is not finite, {values.ravel().tolist()}: "
-                "calibrate again, or write numbers"
+                f"{name} has a value that is not finite, {values.ravel().tolist()}",
+                subject=label,
+                value=values,
+                limit="finite numbers",
+                remedy="calibrate again, or write numbers",
             )
 
 
 def _check_set(camera: CameraModel, label: str, *names: str) -> None:
     for name in names:
         if not getattr(camera, name).any():
-            raise CalibrationError(f"{label}: {name} {_NOT_SET}")
+            raise CalibrationError(
+                f"{name} is all zero, which means not set",
+                subject=label,
+                value=0,
+                remedy="calibrate the camera, or fill it in",
+            )
 
 
 def _check_form(matrix: F64, label: str, name: str, form: str) -> None:
-    """Focal lengths above 0 and nothing where the pinhole has nothing: OpenCV would ignore a skew without a word."""
+    """Focal lengths above 0 and the zeros of a pinhole camera: OpenCV would silently ignore a skew."""
     if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
         raise CalibrationError(
-            f"{label}: {name} has focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px, they are above 0: calibrate"
+            f"{name} has focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px, they must be above 0",
+            subject=label,
+            value=(float(matrix[0, 0]), float(matrix[1, 1])),
+            limit=0,
+            remedy="calibrate",
         )
-    rest = [matrix[0, 1], matrix[1, 0], *matrix[2, :2], matrix[2, 2] - 1, *matrix[2, 3:]]
-    if np.abs(rest).max() > 1e-6:
-        raise CalibrationError(f"{label}: {name} = {matrix.tolist()} is not of the form {form}: write it row by row")
+    zeros = [matrix[0, 1], matrix[1, 0], *matrix[2, :2], matrix[2, 2] - 1, *matrix[2, 3:]]
+    if np.abs(zeros).max() > 1e-6:
+        raise CalibrationError(
+            f"{name} = {matrix.tolist()} is not of the form {form}",
+            subject=label,
+            value=matrix,
+            limit=form,
+            remedy="write it row by row",
+        )
 
 
-def check_rotation(R: F64, label: str) -> None:
-    """Raise CalibrationError, which begins with ``label``, where float64 (3, 3) is no rotation."""
+def check_rotation(R: F64, name: str, label: str = "") -> None:
+    """Raise CalibrationError with subject ``label`` where the float64 (3, 3) called ``name`` is not a rotation."""
     error = np.abs(R @ R.T - np.identity(3)).max()
     if not error <= 1e-3 or np.linalg.det(R) < 0:
         raise CalibrationError(
-            f"{label} = {R.tolist()} is not a rotation (|R R^T - I| = {error:.3g}, limit 0.001; determinant +1): "
-            "calibrate, or set the identity for a rectified image"
+            f"{name} = {R.tolist()} is not a rotation (|R R^T - I| = {error:.3g}, limit 0.001; determinant +1)",
+            subject=label,
+            value=R,
+            limit=1e-3,
+            remedy="calibrate, or set the identity for a rectified image",
         )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A camera from the fields of a CameraInfo message, of whatever family."""
+"""Camera model from a CameraInfo message, of rclpy or rosbags."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["camera_from_info", "sensor_intrinsics"]
 
 
 def camera_from_info(info: Any, topic: str = "") -> CameraModel:
-    """The camera of a sensor_msgs/CameraInfo, for the image as it is sent.
+    """The camera of a sensor_msgs/CameraInfo, for the image as published.
 
     The region of interest shifts the principal points of K and P, then binning divides both, as in image_geometry:
     column 0 of an image is column ``roi.x_offset`` of the sensor. A region without size is the whole sensor, binning 0
-    is 1, ``roi.do_rectify`` is not read.
+    means 1, ``roi.do_rectify`` is ignored.
 
     Args:
         info: the message, of any family.
@@ -29,7 +29,7 @@ def camera_from_info(info: Any, topic: str = "") -> CameraModel:
     Raises:
         CalibrationError: a region of interest that leaves the sensor.
     """
-    width, height, to_image = _sent_image(info, topic)
+    width, height, to_image = _published_image(info, topic)
     return CameraModel(
         width=width,
         height=height,
@@ -43,11 +43,11 @@ def camera_from_info(info: Any, topic: str = "") -> CameraModel:
 
 
 def sensor_intrinsics(K: F64, info: Any, topic: str = "") -> F64:
-    """The K to write into a camera info from which :func:`camera_from_info` then makes this one.
+    """The K that a camera info must hold so that :func:`camera_from_info` returns this one.
 
     Args:
-        K: float64 (3, 3), intrinsics of the image as it is sent, px.
-        info: the message with the region of interest and the binning, of any family; its K is not read.
+        K: float64 (3, 3), intrinsics of the image as published, px.
+        info: the message with the region of interest and the binning, of any family; its K is ignored.
         topic: its topic, for error messages.
 
     Returns:
@@ -56,12 +56,12 @@ def sensor_intrinsics(K: F64, info: Any, topic: str = "") -> F64:
     Raises:
         CalibrationError: a region of interest that leaves the sensor.
     """
-    K_sensor: F64 = np.linalg.solve(_sent_image(info, topic)[2], K).astype(np.float64)
+    K_sensor: F64 = np.linalg.solve(_published_image(info, topic)[2], K).astype(np.float64)
     return K_sensor
 
 
-def _sent_image(info: Any, topic: str) -> tuple[int, int, F64]:
-    """Width and height of the image as it is sent, px, and the float64 (3, 3) from sensor pixels to its pixels."""
+def _published_image(info: Any, topic: str) -> tuple[int, int, F64]:
+    """Width and height of the image as published, px, and the float64 (3, 3) from sensor pixels to its pixels."""
     roi = info.roi
     whole = roi.width == 0 and roi.height == 0
     x, y, width, height = (0, 0, info.width, info.height) if whole else _region(info, topic)
@@ -75,7 +75,11 @@ def _region(info: Any, topic: str) -> tuple[int, int, int, int]:
     right, bottom = roi.x_offset + roi.width, roi.y_offset + roi.height
     if roi.width == 0 or roi.height == 0 or right > info.width or bottom > info.height:
         raise CalibrationError(
-            f"{topic or 'camera info'}: roi {roi.width}x{roi.height} at ({roi.x_offset}, {roi.y_offset}) is not inside "
-            f"the sensor of {info.width}x{info.height}: set width and height of the full resolution, before binning"
+            f"roi {roi.width}x{roi.height} at ({roi.x_offset}, {roi.y_offset}) is not inside the sensor of "
+            f"{info.width}x{info.height}",
+            subject=topic or "camera info",
+            value=(roi.x_offset, roi.y_offset, roi.width, roi.height),
+            limit=(info.width, info.height),
+            remedy="set width and height of the full resolution, before binning",
         )
     return roi.x_offset, roi.y_offset, roi.width, roi.height

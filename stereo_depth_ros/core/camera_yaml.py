@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Camera files in the YAML format of ROS's ``camera_calibration``, one camera a file, read and written."""
+"""Camera model to and from the YAML text of ROS's ``camera_calibration``, one camera per file."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import io
 from typing import Any
 
 import numpy as np
@@ -15,22 +15,31 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["read_camera", "write_camera"]
+__all__ = ["camera_from_yaml", "camera_to_yaml"]
+
+_KEYS = (
+    "image_width, image_height, distortion_model, "
+    "and data of camera_matrix, distortion_coefficients, rectification_matrix, projection_matrix"
+)
 
 
-def read_camera(path: str | Path) -> CameraModel:
-    """The camera of a file; the format names no optical frame, so ``frame_id`` is empty.
+def camera_from_yaml(text: str, source: str = "camera file") -> CameraModel:
+    """The camera of a YAML text; the format has no optical frame, so ``frame_id`` is empty.
+
+    Args:
+        text: the content of a file.
+        source: its path, the subject of errors.
 
     Raises:
-        CalibrationError: the file cannot be read, is no YAML, or lacks a key or values.
+        CalibrationError: not plain YAML, or keys or values are missing.
     """
     try:
-        entries = YAML(typ="safe", pure=True).load(Path(path))
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read ({error}): name a file of camera_calibration") from error
+        entries = YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:
         raise CalibrationError(
-            f"{path}: is no plain YAML ({' '.join(str(error).split())}): export it in the format of camera_calibration"
+            f"is not plain YAML ({' '.join(str(error).split())})",
+            subject=source,
+            remedy="export it in the format of camera_calibration",
         ) from error
     try:
         return CameraModel(
@@ -44,21 +53,18 @@ def read_camera(path: str | Path) -> CameraModel:
         )
     except KeyError as error:
         raise CalibrationError(
-            f"{path}: lacks the key {error}: a camera file has image_width, image_height, distortion_model, "
-            "and data of camera_matrix, distortion_coefficients, rectification_matrix, projection_matrix"
+            f"lacks the key {error}", subject=source, limit=_KEYS, remedy=f"a camera file has {_KEYS}"
         ) from error
     except (TypeError, ValueError) as error:
-        raise CalibrationError(f"{path}: a value is not a number or a list of them ({error}): write numbers") from error
+        raise CalibrationError(
+            f"a value is not a number or a list of them ({error})", subject=source, remedy="write numbers"
+        ) from error
     except CalibrationError as error:
-        raise CalibrationError(f"{path}: {error}") from error
+        raise error.about(source) from error
 
 
-def write_camera(path: str | Path, camera: CameraModel, camera_name: str) -> None:
-    """Writes a camera, every number with all its digits.
-
-    Raises:
-        CalibrationError: the file cannot be written.
-    """
+def camera_to_yaml(camera: CameraModel, camera_name: str) -> str:
+    """The YAML text of a camera, every number with all its digits."""
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style, yaml.width = None, 1000  # each list of numbers on one line
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
@@ -72,10 +78,9 @@ def write_camera(path: str | Path, camera: CameraModel, camera_name: str) -> Non
         "rectification_matrix": _matrix(camera.R),
         "projection_matrix": _matrix(camera.P),
     }
-    try:
-        yaml.dump(entries, Path(path))
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written ({error}): choose another folder") from error
+    text = io.StringIO()
+    yaml.dump(entries, text)
+    return text.getvalue()
 
 
 def _matrix(values: F64) -> dict[str, Any]:

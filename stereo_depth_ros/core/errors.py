@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the package: one root, and what each is about, what was found, what is allowed and what to do as fields."""
+"""Exceptions of the package, with subject, value, limit and remedy as fields."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ __all__ = [
     "GraphError",
     "ImageError",
     "MessageError",
+    "OutputError",
     "StereoDepthError",
     "TopicError",
 ]
@@ -21,16 +22,16 @@ ErrorT = TypeVar("ErrorT", bound="StereoDepthError")
 
 
 class StereoDepthError(Exception):
-    """Root of everything this package raises on purpose; as text ``subject: problem: remedy``.
+    """Base class of the exceptions of this package; as text ``subject: problem: remedy``.
 
     Attributes:
-        problem: what is wrong, in a sentence with the value and the limit.
-        subject: what the problem is about: a topic, a file, a camera, a parameter; empty where the problem says it.
-        value: what was found.
-        limit: what is allowed.
-        remedy: what to do about it.
-        settings: names of arguments or parameters that the remedy is about. The command line adds its options of these
-            names, a node its parameters.
+        problem: one sentence that states the value and the limit.
+        subject: a topic, file, camera or parameter; empty if the problem names it.
+        value: the value found.
+        limit: the values allowed.
+        remedy: what to do.
+        settings: names of the arguments or parameters that the remedy concerns. The command line adds its options of
+            these names, a node its parameters.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class StereoDepthError(Exception):
         return ": ".join(part for part in (self.subject, self.problem, self.remedy) if part)
 
     def about(self: ErrorT, subject: object, remedy: str | None = None) -> ErrorT:
-        """The same error about something larger, which is named first; with another remedy where one is given."""
+        """The same error with ``subject`` prepended, and with another remedy if one is given."""
         return type(self)(
             self.problem,
             subject=f"{subject}: {self.subject}" if self.subject else str(subject),
@@ -71,19 +72,23 @@ class ConfigError(StereoDepthError):
 
 
 class CalibrationError(StereoDepthError):
-    """Camera matrices or camera infos that cannot describe this stereo rig."""
+    """Camera matrices or camera infos that do not describe a valid stereo rig."""
 
 
 class ImageError(StereoDepthError):
-    """Pixels that cannot be used: wrong shape, dtype, or sizes that disagree."""
+    """Images that cannot be used: wrong shape or dtype, or different sizes."""
 
 
 class MessageError(StereoDepthError):
-    """A message whose fields contradict each other, or that this package does not read."""
+    """A message with contradictory fields, or of a type or encoding that is not supported."""
 
 
 class BagError(StereoDepthError):
-    """A bag or dataset that cannot be opened, read or written."""
+    """A bag, a dataset or another file that cannot be opened, read or written."""
+
+
+class OutputError(BagError):
+    """A file that cannot be written, or that would destroy what is read or what is there."""
 
 
 class TopicError(StereoDepthError):
@@ -91,4 +96,4 @@ class TopicError(StereoDepthError):
 
 
 class GraphError(StereoDepthError):
-    """The ROS graph is not there, a node of it ended, or a topic has nobody at its other end."""
+    """The ROS graph is not available, a node has exited, or a topic has no publisher or subscriber."""

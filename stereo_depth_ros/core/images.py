@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gray images of frames."""
+"""Conversion of frames to gray."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def to_gray(frame: Frame, out: U8 | None = None) -> U8:
     """The frame as uint8 (H, W).
 
     Args:
-        frame: mono8 is returned as it is, and ``out`` left alone; color is weighted as in Rec. 601.
-        out: uint8 (H, W), C-contiguous: written and returned where the frame is color.
+        frame: mono8 is returned as is and ``out`` is not used; color is weighted as in Rec. 601.
+        out: uint8 (H, W), C-contiguous: written and returned if the frame is color.
 
     Raises:
         ImageError: ``out`` has another size, type or layout.
@@ -30,8 +30,12 @@ def to_gray(frame: Frame, out: U8 | None = None) -> U8:
         out = np.empty((height, width), np.uint8)
     elif out.shape != (height, width) or out.dtype != np.uint8 or not out.flags.c_contiguous:
         raise ImageError(
-            f"out is {out.dtype} {out.shape} with strides {out.strides}, the frame takes contiguous uint8 "
-            f"{(height, width)}: make the buffer anew when the image size changes"
+            f"buffer is {out.dtype} {out.shape} with strides {out.strides}, the frame takes contiguous uint8 "
+            f"{(height, width)}",
+            subject="out",
+            value=(str(out.dtype), out.shape),
+            limit=("uint8", (height, width)),
+            remedy="allocate the buffer again when the image size changes",
         )
     cv2.cvtColor(frame.pixels, cv2.COLOR_RGB2GRAY if frame.encoding == "rgb8" else cv2.COLOR_BGR2GRAY, dst=out)
     return out

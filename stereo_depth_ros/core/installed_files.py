@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that come with the package: in the source tree, or in share/stereo_depth_ros of the prefix."""
+"""Data files of the package, in the source tree or in share/stereo_depth_ros of the install prefix."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["installed_files"]
 
 
 def installed_files(pattern: str) -> list[Path]:
-    """Files that match a pattern such as ``bags/*.mcap``, sorted, in the first place that has any; empty for none."""
+    """Files that match a pattern such as ``bags/*.mcap``, sorted, in the first location with any; empty if none has."""
     here = Path(__file__).resolve()
     shares = (folder / "share" / "stereo_depth_ros" for folder in here.parents)
     for root in (here.parents[2], *shares):

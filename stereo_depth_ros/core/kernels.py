@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled kernels: machine code without the interpreter lock, made in one explicit step and kept on disk."""
+"""Kernels: machine code that releases the GIL, compiled in one explicit step and cached on disk."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ __all__ = ["READ_ONLY_U8", "Kernel", "compile_kernels", "compiled"]
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., object])
 
-# Images as they come: numpy.frombuffer gives arrays that cannot be written, and writeable ones are accepted as well.
+# Input images: numpy.frombuffer returns read-only arrays; writeable ones are accepted as well.
 READ_ONLY_U8 = numba.types.Array(numba.uint8, 2, "C", readonly=True)
 
 _PYTHON = f"py{sys.version_info[0]}{sys.version_info[1]}"
-_pending: list[Kernel] = []  # of the modules imported so far, neither compiled nor read from disk
+_pending: list[Kernel] = []  # kernels of the modules imported so far, neither compiled nor loaded
 _pending_lock = threading.RLock()
 
 
 def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], FunctionT]:
-    """Decorator: machine code that runs without the interpreter lock, kept on disk between processes.
+    """Decorator: compile to machine code that releases the GIL and is cached on disk.
 
-    Functions with signatures are kernels, called from Python; :func:`compile_kernels` makes their code. Helpers, which
-    only kernels call, have none and become part of those kernels.
+    Functions with signatures are kernels, called from Python, compiled by :func:`compile_kernels`. Helpers are called
+    by kernels only, have no signatures and are compiled as part of the kernels.
 
     Args:
-        signatures: of numba.
-        allocates: False for functions that make no arrays: then views of arrays are not counted, which would be atomic
-            operations across threads, and cost nothing even for every pixel. Such helpers are always inlined; the
-            others are left to LLVM, which does better with long ones.
+        signatures: numba signatures.
+        allocates: False for functions that create no arrays: views of arrays are then not reference counted, which
+            saves atomic operations, so that a view per pixel costs nothing. Such helpers are always inlined; for the
+            others LLVM decides.
     """
 
     def decorate(function: FunctionT) -> FunctionT:
@@ -54,7 +54,7 @@ def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], 
 
 
 class Kernel:
-    """A function with machine code for fixed signatures; the first call makes the code where nothing did before."""
+    """A function with machine code for fixed signatures; compiled by the first call if not before."""
 
     def __init__(self, dispatcher: Any, signatures: tuple[Any, ...], allocates: bool) -> None:
         function = dispatcher.py_func
@@ -62,8 +62,8 @@ class Kernel:
         self._dispatcher = dispatcher
         self._signatures = signatures
         dispatcher.enable_caching()
-        # Numba names the files by line and stamps them with the time of the kernel's own file. Here the stamp is what
-        # the code is made of, so an edit elsewhere changes nothing and an edit of a helper in another file does.
+        # Numba names cache files by line number and stamps them with the modification time of the source file. Here the
+        # stamp is a hash of the code, so that unrelated edits keep the cache and an edit of a helper does not.
         self._index = IndexDataCacheFile(
             cache_path=dispatcher._cache.cache_path,
             filename_base=f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}.{_PYTHON}",
@@ -79,14 +79,14 @@ class Kernel:
 
     @property
     def is_on_disk(self) -> bool:
-        """Whether the code of every signature is there and up to date."""
+        """Whether the code of every signature is cached and up to date."""
         codegen = self._dispatcher.targetctx.codegen()
         keys = (self._dispatcher._cache._index_key(signature, codegen) for signature in self._signatures)
         overloads = self._index._load_index()
         return all(key in overloads for key in keys)
 
     def make_code(self) -> None:
-        """Read the code from disk, or compile it."""
+        """Load the code from disk, or compile it."""
         for signature in self._signatures:
             self._dispatcher.compile(signature)
         self._dispatcher.disable_compile()
@@ -98,12 +98,12 @@ class Kernel:
 
 
 def compile_kernels(report: Callable[[int, int], object] = lambda number, total: None) -> None:
-    """Make the code of every kernel of the modules imported so far, so that no frame waits for it.
+    """Load or compile every kernel of the modules imported so far, so that no frame waits for the compiler.
 
-    What is on disk is read. The rest is compiled by one process of the user at a time: others wait, and read it then.
+    Only one process of a user compiles at a time; the others wait and then load the code from disk.
 
     Args:
-        report: called before each kernel that has to be compiled, with its number and how many there are.
+        report: called with number and total before each kernel that has to be compiled.
     """
     with _pending_lock:
         if not _pending:
@@ -122,7 +122,7 @@ def compile_kernels(report: Callable[[int, int], object] = lambda number, total:
 
 @contextmanager
 def _one_process_at_a_time() -> Iterator[None]:
-    """A lock between processes; none where the system has no flock."""
+    """A lock between processes; none if the system has no flock."""
     try:
         import fcntl
     except ImportError:
@@ -140,7 +140,7 @@ def _one_process_at_a_time() -> Iterator[None]:
 
 
 def _fingerprint(function: Callable[..., object], options: str) -> str:
-    """A hash of what a kernel's code is made of: its bytecode, its constants, and the same of all that it calls."""
+    """A hash of the bytecode and constants of a kernel and of all functions it calls."""
     digest = hashlib.sha256(f"{options} {np.__version__}".encode())
     _add_function(digest, function, set())
     return digest.hexdigest()
@@ -176,7 +176,7 @@ def _names(code: types.CodeType) -> Iterator[str]:
 
 
 def _add_value(digest: Any, value: Any, seen: set[int]) -> None:
-    """A global that a kernel reads: a helper by what it is made of, anything else by its text."""
+    """Add a global that a kernel reads: a function by its code, anything else by its repr."""
     if isinstance(value, Dispatcher):
         digest.update(repr(sorted(value.targetoptions.items())).encode())
         _add_function(digest, value.py_func, seen)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pairing of left and right messages by their stamps."""
+"""Pairing of left and right messages by stamp."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_STEP_BACK_NS = 10**9
 
 
 class PairingLimits(Protocol):
-    """What a pairing may do: how many items of a side wait, and how far apart the stamps of a pair are."""
+    """Limits of the pairing: queue size and tolerance."""
 
     @property
     def queue_size(self) -> int:
@@ -23,18 +23,18 @@ class PairingLimits(Protocol):
 
     @property
     def tolerance_ns(self) -> int | None:
-        """Largest difference of stamps in a pair, nanoseconds; None is no limit."""
+        """Largest stamp difference within a pair, nanoseconds; None means no limit."""
 
 
 @dataclass(frozen=True)
 class PairingCounts:
-    """What became of the messages so far.
+    """Counts of messages by outcome.
 
     Attributes:
         paired: pairs released.
         dropped_left, dropped_right: messages without a partner.
-        duplicates: messages of either camera with the stamp of one that waits, or of the last one released.
-        backwards: times that the clock was set back and both queues were cleared.
+        duplicates: messages of either camera with the stamp of a queued message, or of the last one released.
+        backwards: number of times the clock was set back and both queues were cleared.
     """
 
     paired: int = 0
@@ -45,19 +45,18 @@ class PairingCounts:
 
 
 class StereoPairing(Generic[T]):
-    """Brings together the left and right items whose stamps belong together.
+    """Pairs left and right items by stamp.
 
-    Pairs come in the order of their stamps and each item is in one pair at most. Of the oldest waiting items of the
-    two cameras, the earlier is paired with the later one unless their difference exceeds the tolerance, or the next
-    item of the earlier camera is closer. That next item is awaited only where it could be closer: none is expected
-    sooner than the shortest interval the camera has had, so a difference of up to half of it is paired at once. As
-    nothing but stamps decides, the same stamps give the same pairs however the two cameras interleave, within the size
-    of the queues.
+    Pairs are released in order of their stamps, and each item is in one pair at most. Of the oldest queued items of the
+    two cameras, the earlier is paired with the later one unless their difference exceeds the tolerance or the next item
+    of the earlier camera is closer. That next item is awaited only if it could be closer: none is expected sooner than
+    the shortest interval of the camera so far, so a difference of up to half of it is paired immediately. Only stamps
+    decide, so the same stamps give the same pairs for any interleaving of the two cameras, within the queue size.
 
-    An item is dropped as soon as it has lost: the other camera is past its stamp plus the tolerance, a later item of
-    its own camera is closer or has been released, or its queue is full. A late item is paired while its place is still
-    open. A stamp more than 1 s before the newest of its camera, or more than ``queue_size`` late ones in a row, mean
-    that the clock was set back, as when a bag is looped: both queues are cleared. Not for concurrent use.
+    An item is dropped as soon as it cannot be paired any more: the other camera is past its stamp plus the tolerance, a
+    later item of the same camera is closer or has been released, or the queue is full. A late item is paired as long as
+    no later one was released. A stamp more than 1 s before the newest of its camera, or more than ``queue_size`` late
+    ones in a row, means that the clock was set back, as when a bag is looped: both queues are cleared. Not thread-safe.
 
     Args:
         limits: queue size and tolerance.
@@ -72,37 +71,37 @@ class StereoPairing(Generic[T]):
         self._backwards = 0
 
     def add_left(self, stamp_ns: int, item: T) -> list[tuple[T, T]]:
-        """Takes a left item; returns the (left, right) pairs that are complete now, in order."""
+        """Add a left item; returns the (left, right) pairs that are now complete, in order."""
         return self._add(self._left, stamp_ns, item)
 
     def add_right(self, stamp_ns: int, item: T) -> list[tuple[T, T]]:
-        """Takes a right item; returns the (left, right) pairs that are complete now, in order."""
+        """Add a right item; returns the (left, right) pairs that are now complete, in order."""
         return self._add(self._right, stamp_ns, item)
 
     def flush(self) -> list[tuple[T, T]]:
-        """The pairs that awaited a closer item, at the end of the streams; what stays alone is dropped."""
+        """The pairs that awaited a closer item, at the end of the streams; unpaired items are dropped."""
         pairs = self._release(final=True)
         self._clear()
         return pairs
 
     @property
     def counts(self) -> PairingCounts:
-        """What became of the items so far; those of both cameras are 2 paired + dropped + duplicates + pending."""
+        """Counts so far; the items of both cameras add up to 2 paired + dropped + duplicates + pending."""
         duplicates = self._left.duplicates + self._right.duplicates
         return PairingCounts(self._paired, self._left.dropped, self._right.dropped, duplicates, self._backwards)
 
     @property
     def pending_left(self) -> int:
-        """Number of left items that wait."""
+        """Number of queued left items."""
         return len(self._left.queue)
 
     @property
     def pending_right(self) -> int:
-        """Number of right items that wait."""
+        """Number of queued right items."""
         return len(self._right.queue)
 
     def _add(self, side: _Side[T], stamp_ns: int, item: T) -> list[tuple[T, T]]:
-        if side.is_set_back(stamp_ns, self._queue_size):
+        if side.is_clock_set_back(stamp_ns, self._queue_size):
             self._backwards += 1
             self._clear()
         side.insert(stamp_ns, item)
@@ -114,22 +113,22 @@ class StereoPairing(Generic[T]):
         return pairs
 
     def _release(self, final: bool = False) -> list[tuple[T, T]]:
-        """Pairs and drops from the oldest items on, up to one that later items may change; to the end when final."""
+        """Pair and drop from the oldest items on, until the outcome depends on later items; all of them if final."""
         pairs = []
         while self._left.queue and self._right.queue:
             earlier, later = sorted((self._left, self._right), key=lambda side: side.queue[0].stamp_ns)
-            stays_alone = self._stays_alone(earlier, later.queue[0].stamp_ns)
-            if stays_alone is None and not final:
+            is_unpaired = self._is_unpaired(earlier, later.queue[0].stamp_ns)
+            if is_unpaired is None and not final:
                 break
-            if stays_alone:
+            if is_unpaired:
                 earlier.drop_oldest()
             else:
                 pairs.append((self._left.take_oldest(), self._right.take_oldest()))
         self._paired += len(pairs)
         return pairs
 
-    def _stays_alone(self, side: _Side[T], partner_ns: int) -> bool | None:
-        """Whether the oldest item of ``side``, not after ``partner_ns``, stays without it; None while that is open."""
+    def _is_unpaired(self, side: _Side[T], partner_ns: int) -> bool | None:
+        """Whether the oldest item of ``side`` is not paired with the later ``partner_ns``; None while undecided."""
         oldest = side.queue[0]
         difference_ns = partner_ns - oldest.stamp_ns
         if self._tolerance_ns is not None and difference_ns > self._tolerance_ns:
@@ -141,8 +140,8 @@ class StereoPairing(Generic[T]):
         return abs(side.queue[1].stamp_ns - partner_ns) < difference_ns
 
     def _clear(self) -> None:
-        self._left.start_anew()
-        self._right.start_anew()
+        self._left.reset()
+        self._right.reset()
 
 
 @dataclass(frozen=True)
@@ -153,16 +152,16 @@ class _Waiting(Generic[T]):
 
 
 class _Side(Generic[T]):
-    """The items of one camera that wait, by stamp, and what is known of its clock."""
+    """Queued items of one camera by stamp, and the state of its clock."""
 
     def __init__(self) -> None:
         self.queue: list[_Waiting[T]] = []
         self.dropped = 0
         self.duplicates = 0
-        self.start_anew()
+        self.reset()
 
-    def start_anew(self) -> None:
-        """Drops all that waits and forgets the clock."""
+    def reset(self) -> None:
+        """Drop all queued items and reset the clock."""
         self.dropped += len(self.queue)
         self.queue.clear()
         self._newest_ns: int | None = None
@@ -170,13 +169,13 @@ class _Side(Generic[T]):
         self._shortest_interval_ns = 0
         self._late_in_a_row = 0
 
-    def is_set_back(self, stamp_ns: int, queue_size: int) -> bool:
-        """Whether a stamp is too old to be just late."""
+    def is_clock_set_back(self, stamp_ns: int, queue_size: int) -> bool:
+        """Whether a stamp is so old that the clock must have been set back."""
         far_back = self._newest_ns is not None and self._newest_ns - stamp_ns > MAX_STEP_BACK_NS
         return far_back or (self._is_too_late(stamp_ns) and self._late_in_a_row >= queue_size)
 
     def insert(self, stamp_ns: int, item: T) -> None:
-        """Queues an item by its stamp, or counts why not."""
+        """Queue an item by its stamp, or count it as duplicate or dropped."""
         at = bisect_left([waiting.stamp_ns for waiting in self.queue], stamp_ns)
         if stamp_ns == self._released_ns or (at < len(self.queue) and self.queue[at].stamp_ns == stamp_ns):
             self.duplicates += 1
@@ -188,13 +187,13 @@ class _Side(Generic[T]):
             self.queue.insert(at, _Waiting(stamp_ns, item, self._shortest_interval_ns))
 
     def take_oldest(self) -> T:
-        """Removes the oldest item for a pair."""
+        """Remove the oldest item for a pair."""
         waiting = self.queue.pop(0)
         self._released_ns = waiting.stamp_ns
         return waiting.item
 
     def drop_oldest(self) -> None:
-        """Removes the oldest item, which stays alone."""
+        """Remove the oldest item without a partner."""
         self.take_oldest()
         self.dropped += 1
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two cameras and the rig they form: what makes it usable, its baseline and its reprojection."""
+"""Stereo rig of two cameras: the checks of a rectified pair, its baseline and its reprojection matrix."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from stereo_depth_ros.core.camera import CameraModel, check_intrinsics, check_rectification, check_rotation
 from stereo_depth_ros.core.camera_info import camera_from_info
-from stereo_depth_ros.core.camera_yaml import read_camera
+from stereo_depth_ros.core.camera_yaml import camera_from_yaml
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
 
@@ -24,7 +24,7 @@ MIN_BASELINE_M, MAX_BASELINE_M = 1e-3, 10.0
 
 
 class Rig(Protocol):
-    """Two cameras whose images can be rectified: a :class:`StereoRig`, or one without a calibration of the rig.
+    """Two cameras whose images can be rectified: a :class:`StereoRig`, or an uncalibrated rig.
 
     Attributes:
         metric: disparities give depth in meters.
@@ -42,7 +42,7 @@ class Rig(Protocol):
 
     @property
     def topics(self) -> tuple[str, str]:
-        """Where each camera came from, for the messages of errors."""
+        """Source of each camera (topic or file), for error messages."""
 
     @property
     def width(self) -> int:
@@ -57,7 +57,7 @@ class Rig(Protocol):
         """Disparity of a point at infinity, px; -inf where it is not known."""
 
     def check_image(self, width: int, height: int, topic: str) -> None:
-        """Refuse an image of another size with a CalibrationError."""
+        """Raise CalibrationError for an image of another size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class StereoRig:
 
     Attributes:
         left, right: the cameras; the left one is the reference.
-        topics: where each came from, for the messages of errors.
+        topics: source of each camera (topic or file), for error messages.
 
     Raises:
         CalibrationError: the matrices cannot be those of a rectified pair.
@@ -91,8 +91,13 @@ class StereoRig:
 
     @classmethod
     def from_yaml(cls, left_path: str | Path, right_path: str | Path) -> StereoRig:
-        """From the two files that ``camera_calibration`` writes."""
-        return cls(read_camera(left_path), read_camera(right_path), (str(left_path), str(right_path)))
+        """From the two files that ``camera_calibration`` writes.
+
+        Raises:
+            CalibrationError: a file cannot be read or is not a camera file, or the cameras are not a rectified pair.
+        """
+        left, right = (camera_from_yaml(_read_text(path), str(path)) for path in (left_path, right_path))
+        return cls(left, right, (str(left_path), str(right_path)))
 
     @classmethod
     def from_calibration(
@@ -108,14 +113,14 @@ class StereoRig:
         frame_id: str = "left_optical_frame",
         alpha: float = 0.0,
     ) -> StereoRig:
-        """From a calibration that has not been rectified, through OpenCV's ``stereoRectify``.
+        """From a calibration without rectification, by OpenCV's ``stereoRectify``.
 
         Args:
             K_left, K_right: (3, 3), px.
             D_left, D_right: coefficients of ``distortion_model``.
             R, T: (3, 3) and (3,) in meters, with X_right = R X_left + T.
             size: width, height of both images, px.
-            alpha: 0 shows only pixels that have a source, 1 all source pixels.
+            alpha: 0 keeps only valid pixels, 1 keeps all source pixels.
         """
         bare = np.identity(4)[:3]
         left = CameraModel(*size, distortion_model, _array(K_left), _array(D_left), np.identity(3), bare, frame_id)
@@ -139,7 +144,7 @@ class StereoRig:
         size: tuple[int, int],
         frame_id: str = "left_optical_frame",
     ) -> StereoRig:
-        """A rig whose images are rectified already; focal lengths and principal points in px, size (width, height)."""
+        """A rig of rectified images; focal lengths and principal points in px, size (width, height)."""
 
         def camera(cx: float, baseline_m: float) -> CameraModel:
             P = np.array([[fx, 0, cx, -fx * baseline_m], [0, fy, cy, 0], [0, 0, 1, 0]])
@@ -159,7 +164,7 @@ class StereoRig:
 
     @property
     def frame_id(self) -> str:
-        """Optical frame of the left camera, the frame of all depth."""
+        """Optical frame of the left camera, the frame of depth and points."""
         return self.left.frame_id
 
     @property
@@ -211,32 +216,39 @@ class StereoRig:
         )
 
     def check_image(self, width: int, height: int, topic: str) -> None:
-        """Refuses an image that has another size than the camera infos say.
+        """Check the size of an image against the camera infos.
 
         Raises:
             CalibrationError: the sizes differ.
         """
         if (width, height) != (self.width, self.height):
             raise CalibrationError(
-                f"{topic}: the image is {width}x{height}, its camera info is for {self.width}x{self.height}: calibrate "
-                "at this resolution, or set binning and roi of the camera info"
+                f"the image is {width}x{height}, its camera info is for {self.width}x{self.height}",
+                subject=topic,
+                value=(width, height),
+                limit=(self.width, self.height),
+                remedy="calibrate at this resolution, or set binning and roi of the camera info",
             )
 
     def check_side(self, side: str, frame_id: str, topic: str) -> None:
-        """Refuses an image of one camera that carries the frame of the other camera.
+        """Check that an image does not have the frame of the other camera.
 
         Args:
-            camera: "left" or "right".
-            frame_id: of the image.
+            side: "left" or "right".
+            frame_id: frame of the image.
+            topic: of the image, the subject of the error.
 
         Raises:
-            CalibrationError: the image is the other camera's.
+            CalibrationError: the image is of the other camera.
         """
         own, other = (self.left, self.right) if side == "left" else (self.right, self.left)
         if frame_id and frame_id != own.frame_id and frame_id == other.frame_id:
             raise CalibrationError(
-                f"{topic}: frame_id is {frame_id!r}, the frame of the other camera, here it is {own.frame_id!r}: "
-                "cameras are swapped, exchange the image topics of left and right"
+                f"frame_id is {frame_id!r}, the frame of the other camera, expected {own.frame_id!r}",
+                subject=topic,
+                value=frame_id,
+                limit=own.frame_id,
+                remedy="cameras are swapped, exchange the image topics of left and right",
             )
 
     def _labels(self) -> tuple[str, str]:
@@ -247,12 +259,25 @@ class StereoRig:
         )
 
 
+def _read_text(path: str | Path) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(
+            f"cannot be read ({error})", subject=str(path), remedy="name a file of camera_calibration"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise CalibrationError(
+            f"is not plain YAML ({error})", subject=str(path), remedy="name a file of camera_calibration"
+        ) from error
+
+
 def _array(values: npt.ArrayLike) -> F64:
     return np.asarray(values, dtype=np.float64)
 
 
 def _rectify(left: CameraModel, right: CameraModel, R: F64, T: F64, alpha: float) -> tuple[F64, F64, F64, F64]:
-    """R and P of both cameras by Bouguet's method: half the rotation each, then rows along the baseline."""
+    """R and P of both cameras by Bouguet's method: half the rotation each, then the rows along the baseline."""
     size = (left.width, left.height)
     R, T = R.reshape(3, 3), T.reshape(3, 1)
     flags = cv2.CALIB_ZERO_DISPARITY
@@ -267,16 +292,21 @@ def _rectify(left: CameraModel, right: CameraModel, R: F64, T: F64, alpha: float
 def _check_baseline(baseline_m: float, label: str) -> None:
     if not MIN_BASELINE_M <= baseline_m <= MAX_BASELINE_M:
         raise CalibrationError(
-            f"{label}: baseline {baseline_m:g} m is outside {MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m: "
-            "units are meters, it was probably written in millimeters or as a ratio; P[0,3] is -fx * baseline"
+            f"baseline {baseline_m:g} m is outside {MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m",
+            subject=label,
+            value=baseline_m,
+            limit=(MIN_BASELINE_M, MAX_BASELINE_M),
+            remedy="units are meters, it was probably written in millimeters or as a ratio; P[0,3] is -fx * baseline",
         )
 
 
 def _check_pair(left: CameraModel, right: CameraModel, left_label: str, right_label: str) -> None:
     if (left.width, left.height) != (right.width, right.height):
         raise CalibrationError(
-            f"{left_label} is {left.width}x{left.height}, {right_label} is {right.width}x{right.height}: "
-            "a pair has one size, set both cameras to the same resolution"
+            f"{left_label} is {left.width}x{left.height}, {right_label} is {right.width}x{right.height}",
+            value=(right.width, right.height),
+            limit=(left.width, left.height),
+            remedy="a pair has one size, set both cameras to the same resolution",
         )
     _check_left_is_reference(left, left_label)
     _check_rows_agree(left.P, right.P, left_label, right_label)
@@ -287,8 +317,11 @@ def _check_left_is_reference(left: CameraModel, label: str) -> None:
     offset_m = np.abs(left.P[:2, 3] / left.P[0, 0]).max()
     if offset_m > 1e-6:
         raise CalibrationError(
-            f"{label}: P[:2, 3] = {left.P[:2, 3].tolist()}, it is 0 for the left camera, the reference: "
-            "left and right are probably swapped, exchange the topics"
+            f"P[:2, 3] = {left.P[:2, 3].tolist()}, it is 0 for the left camera, the reference",
+            subject=label,
+            value=left.P[:2, 3],
+            limit=0,
+            remedy="left and right are probably swapped, exchange the topics",
         )
 
 
@@ -301,7 +334,10 @@ def _check_rows_agree(P_left: F64, P_right: F64, left_label: str, right_label: s
         if abs(P_left[at] - P_right[at]) > limit:
             raise CalibrationError(
                 f"{name} of P is {P_left[at]:.6g} px in {left_label} and {P_right[at]:.6g} px in {right_label}, limit "
-                f"{limit:.3g} px apart: a rectified pair has the same rows, calibrate both cameras together"
+                f"{limit:.3g} px apart",
+                value=float(abs(P_left[at] - P_right[at])),
+                limit=limit,
+                remedy="a rectified pair has the same rows, calibrate both cameras together",
             )
 
 
@@ -309,17 +345,26 @@ def _check_right_is_right(P: F64, label: str) -> None:
     baseline_m, vertical_m = -P[0, 3] / P[0, 0], P[1, 3] / P[1, 1]
     if abs(vertical_m) > 1e-6:
         raise CalibrationError(
-            f"{label}: P[1,3] = {P[1, 3]:g} is a vertical baseline of {vertical_m:g} m, it is 0 for cameras side by "
-            "side: rotate the images by 90 degrees and calibrate them as left and right"
+            f"P[1,3] = {P[1, 3]:g} is a vertical baseline of {vertical_m:g} m, it is 0 for cameras side by side",
+            subject=label,
+            value=float(P[1, 3]),
+            limit=0,
+            remedy="rotate the images by 90 degrees and calibrate them as left and right",
         )
     if P[0, 3] > 0:
         raise CalibrationError(
-            f"{label}: P[0,3] = {P[0, 3]:g} is positive, it is -fx * baseline and below 0: "
-            "left and right are probably swapped (exchange the topics), or the sign is wrong"
+            f"P[0,3] = {P[0, 3]:g} is positive, it is -fx * baseline and below 0",
+            subject=label,
+            value=float(P[0, 3]),
+            limit=0,
+            remedy="left and right are probably swapped (exchange the topics), or the sign is wrong",
         )
     if P[0, 3] == 0:
         raise CalibrationError(
-            f"{label}: P[0,3] = 0 is no baseline, it is -fx * baseline and below 0: "
-            "calibrate both cameras together as a stereo pair"
+            "P[0,3] = 0 is not a baseline, it is -fx * baseline and below 0",
+            subject=label,
+            value=0,
+            limit=0,
+            remedy="calibrate both cameras together as a stereo pair",
         )
     _check_baseline(baseline_m, label)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Triangulation of a rectified pair: from a disparity to a point."""
+"""Triangulation of a rectified pair: disparity to point."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Triangulation", "pixel_depth"]
 
 @dataclass(frozen=True)
 class Triangulation:
-    """What turns a disparity of the left rectified image into a point of its optical frame.
+    """Parameters that convert a disparity of the left rectified image to a point in its optical frame.
 
     Z = f B / (d - doffs), X = (u - cx) Z / fx, Y = (v - cy) Z / fy, with doffs = cx_left - cx_right
     (Trucco and Verri, Introductory Techniques for 3-D Computer Vision, 1998, section 7.1, extended by the offset).
@@ -25,8 +25,8 @@ class Triangulation:
     Attributes:
         f_px, fy_px: focal lengths along x and y, pixels.
         cx_px, cy_px: principal point of the left camera, pixels.
-        baseline_m: distance of the cameras, meters.
-        doffs_px: cx_left - cx_right; 0 for disparities from which it is taken away already.
+        baseline_m: distance of the optical centers, meters.
+        doffs_px: cx_left - cx_right; 0 for disparities from which it is already subtracted.
     """
 
     f_px: float
@@ -38,14 +38,14 @@ class Triangulation:
 
     @classmethod
     def from_rig(cls, rig: StereoRig) -> Triangulation:
-        """That of a rig, for disparities d = x_left - x_right."""
+        """Triangulation of a rig, for disparities d = x_left - x_right."""
         return cls(rig.f_px, rig.fy_px, rig.cx_left, rig.cy, rig.baseline_m, rig.doffs_px)
 
     def points(self, left_px: F64, right_px: F64) -> F64:
         """The points of matches of a rectified pair.
 
         Args:
-            left_px, right_px: float64 (N, 2), px; of the right ones only x is used.
+            left_px, right_px: float64 (N, 2), px; only x of the right points is used.
 
         Returns:
             float64 (N, 3): X, Y, Z in the left rectified frame, meters; NaN where the disparity is not above doffs.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Core data types: frames and pairs that go into the pipeline, and the match that comes out of it."""
+"""Data types: frames and stereo pairs, and the result of matching."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3}
 
 
 def _checked(pixels: npt.NDArray[Any], encoding: str, name: str) -> U8:
-    """The pixels as C-contiguous and read-only; ImageError where they are not what the encoding says."""
+    """The pixels as C-contiguous and read-only; ImageError if they do not match the encoding."""
     if encoding not in _CHANNELS:
         raise ImageError(
             f"encoding = {encoding!r} is not one of {', '.join(_CHANNELS)}",
@@ -53,7 +53,7 @@ def _checked(pixels: npt.NDArray[Any], encoding: str, name: str) -> U8:
             subject=name,
             value=pixels.shape,
             limit=shape,
-            remedy="name the encoding of color pixels, rgb8 or bgr8" if color else "give pixels of this shape",
+            remedy="name the encoding of color pixels, rgb8 or bgr8" if color else "pass pixels of this shape",
         )
     if pixels.flags.c_contiguous and not pixels.flags.writeable:
         return pixels
@@ -66,13 +66,13 @@ class Reason(enum.IntFlag):
     """Why a pixel has no disparity; bits of the uint8 reason map, 0 where the pixel is valid."""
 
     VALID = 0
-    NO_MATCH = 1  # the matcher rejected the pixel and does not say more
+    NO_MATCH = 1  # rejected by the matcher for another reason
     LEFT_RIGHT = 2  # left-right check: the right image prefers another left pixel
     UNIQUENESS = 4  # a second disparity is nearly as good
     TEXTURE = 8  # not enough texture in the window
     SPECKLE = 16  # small isolated component
     RANGE = 32  # not in front of the cameras: no positive finite depth
-    BORDER = 64  # the search or the window leaves the image
+    BORDER = 64  # the search range or the window leaves the image
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Frame:
 
     Attributes:
         pixels: uint8, C-contiguous and read-only, (H, W) gray or (H, W, 3) color in the order that ``encoding`` names.
-            An array that is writeable is taken as a read-only view, one of another layout is copied.
+            A writeable array is kept as a read-only view, an array of another layout is copied.
         stamp_ns: time of the exposure, integer nanoseconds (the header stamp).
         frame_id: name of the optical frame.
         encoding: "mono8", "rgb8" or "bgr8".
@@ -109,7 +109,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class StereoPair:
-    """Left and right frame that belong together. Raw (unrectified) or rectified: the stage that takes it says which.
+    """Left and right frame of one exposure, raw or rectified as the stage requires.
 
     Raises:
         ImageError: not two frames.
@@ -126,21 +126,21 @@ class StereoPair:
                     subject="stereo pair",
                     value=type(frame).__name__,
                     limit="Frame",
-                    remedy="make it Frame(pixels, stamp_ns, frame_id, encoding)",
+                    remedy="create Frame(pixels, stamp_ns, frame_id, encoding)",
                 )
 
 
 @dataclass(frozen=True, eq=False)
 class RectifiedPair:
-    """Rows aligned: a point has the same row in both images. Arrays are C-contiguous and read-only, as of a Frame.
+    """A rectified pair: a point has the same row in both images. Arrays are C-contiguous and read-only.
 
     Attributes:
-        left, right: uint8 (H, W), gray, what the matcher sees.
-        left_color: uint8 (H, W) or (H, W, 3), the rectified left image as it came, what colors the cloud.
+        left, right: uint8 (H, W), gray, input of the matcher.
+        left_color: uint8 (H, W) or (H, W, 3), the rectified left image in its original encoding, colors of the cloud.
         color_encoding: encoding of ``left_color``: "mono8", "rgb8" or "bgr8".
 
     Raises:
-        ImageError: another dtype, shape or encoding, or sizes that differ.
+        ImageError: another dtype, shape or encoding, or different sizes.
     """
 
     left: U8
@@ -152,7 +152,7 @@ class RectifiedPair:
         is_gray = self.left_color is self.left
         for name, encoding in (("left", "mono8"), ("right", "mono8"), ("left_color", self.color_encoding)):
             object.__setattr__(self, name, _checked(getattr(self, name), encoding, name))
-        if is_gray:  # one array, as it was given
+        if is_gray:  # keep one array for both
             object.__setattr__(self, "left_color", self.left)
         sizes = {name: getattr(self, name).shape[:2] for name in ("left", "right", "left_color")}
         if len(set(sizes.values())) > 1:
@@ -175,17 +175,17 @@ class RectifiedPair:
 
 @dataclass(frozen=True, eq=False)
 class MatchResult:
-    """What a matcher returns, or the disparity stage, which takes more out.
+    """Result of a matcher, or of the disparity stage, which rejects more pixels.
 
-    A snapshot: no later call changes it, unless a buffer that the caller gave for ``disparity_px`` is used again; the
-    confidence does not change even then. Without such a buffer, ask for the confidence before writing into the arrays.
+    Later calls do not change it, unless the caller reuses a buffer passed for ``disparity_px``; the confidence remains
+    unchanged even then. Without such a buffer, read the confidence before writing into the arrays.
 
     Attributes:
         disparity_px: float32 (H, W), x_left - x_right in pixels, NaN where invalid.
         reasons: uint8 (H, W), bits of :class:`Reason`, 0 exactly where ``disparity_px`` is finite.
-        step_px: smallest difference between two disparities this matcher can tell (1/16 for OpenCV's).
-        support_px: width and height, odd, of the pixels around one that its matching cost is made of.
-        confidence_source: the confidence, or what computes it when it is asked for; None from a method without one.
+        step_px: resolution of the disparities, px (1/16 for OpenCV's matchers).
+        support_px: width and height, odd, px, of the window that a matching cost is computed from.
+        confidence_source: the confidence, or a function that computes it on demand; None if the method has none.
     """
 
     disparity_px: F32
@@ -196,11 +196,10 @@ class MatchResult:
 
     @cached_property
     def confidence(self) -> F32 | None:
-        """How far each disparity can be trusted, float32 (H, W) in [0, 1], 0 where there is none or one was filled in.
+        """Confidence of each disparity, float32 (H, W) in [0, 1], 0 where the pixel is invalid or was filled.
 
-        Computed when it is first asked for, of the disparities in this result. What the disparity stage took out has
-        none; to methods that count the neighbors that agree it is a hole, which supports nobody. Confidences that a
-        method gives as an array stay as they are elsewhere.
+        Computed on first access from the disparities of this result. Pixels rejected by the disparity stage have 0, and
+        to local consistency they are holes. A confidence given as an array is otherwise unchanged.
         """
         source = self.confidence_source
         confidence = source() if callable(source) else source
@@ -208,7 +207,7 @@ class MatchResult:
 
     @property
     def valid_fraction(self) -> float:
-        """Share of pixels that have a disparity, 0..1."""
+        """Fraction of pixels with a disparity, 0..1."""
         return float(np.count_nonzero(self.reasons == 0)) / self.reasons.size
 
     def reason_counts(self) -> dict[str, int]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two images whose rows were made to agree without a calibration of the rig: disparities, no meters."""
+"""Rig of two images rectified without a calibration: disparities, but no depth in meters."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ __all__ = ["UncalibratedRig"]
 
 @dataclass(frozen=True, eq=False)
 class UncalibratedRig:
-    """What a :class:`~stereo_depth_ros.core.rig.StereoRig` is to the path, but for meters.
+    """A rig for the pipeline like :class:`~stereo_depth_ros.core.rig.StereoRig`, without depth in meters.
 
     Attributes:
-        left, right: K and D of the raw images; R maps rays to the rectified pixels that P, [I | 0], then gives: it
-            is a homography and no rotation.
-        topics: where each came from, for the messages of errors.
+        left, right: K and D of the raw images; R is a homography from rays to rectified pixels, not a
+            rotation; P is [I | 0].
+        topics: source of each camera, for error messages.
     """
 
     left: CameraModel
     right: CameraModel
     topics: tuple[str, str] = ("left", "right")
 
-    metric: ClassVar[bool] = False  # a disparity is no depth: where infinity lies is not known
+    metric: ClassVar[bool] = False  # the disparity of infinity is not known
     doffs_px: ClassVar[float] = -np.inf
 
     @classmethod
@@ -46,7 +46,7 @@ class UncalibratedRig:
         Args:
             H_left, H_right: float64 (3, 3).
             size: width, height of raw and rectified images, px.
-            cameras: whose distortion is removed first; of them K and D are used. None for images that have none.
+            cameras: K and D, with which distortion is removed first. None for images without distortion.
 
         Raises:
             CalibrationError: cameras of another size.
@@ -56,8 +56,11 @@ class UncalibratedRig:
         for camera, side in zip(sides, ("left", "right"), strict=True):
             if (camera.width, camera.height) != size:
                 raise CalibrationError(
-                    f"{side} camera is {camera.width}x{camera.height}, the homographies are for {size[0]}x{size[1]}: "
-                    "estimate them from images of this camera"
+                    f"size is {camera.width}x{camera.height}, the homographies are for {size[0]}x{size[1]}",
+                    subject=f"{side} camera",
+                    value=(camera.width, camera.height),
+                    limit=size,
+                    remedy="estimate them from images of this camera",
                 )
         left, right = (
             replace(camera, R=H @ camera.K, P=np.identity(4)[:3])
@@ -76,13 +79,16 @@ class UncalibratedRig:
         return self.left.height
 
     def check_image(self, width: int, height: int, topic: str) -> None:
-        """Refuses an image of another size.
+        """Check the size of an image.
 
         Raises:
             CalibrationError: the sizes differ.
         """
         if (width, height) != (self.width, self.height):
             raise CalibrationError(
-                f"{topic}: the image is {width}x{height}, the homographies are for {self.width}x{self.height}: "
-                "estimate them from images of this size"
+                f"the image is {width}x{height}, the homographies are for {self.width}x{self.height}",
+                subject=topic,
+                value=(width, height),
+                limit=(self.width, self.height),
+                remedy="estimate them from images of this size",
             )

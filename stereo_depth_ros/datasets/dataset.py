@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from stereo_depth_ros.core.rig import StereoRig
@@ -35,10 +36,12 @@ class StereoDataset(Protocol):
     Attributes:
         rig: calibration of all pairs.
         has_stamps: whether the frames have times; otherwise all stamps are 0.
+        files: all files that are read.
     """
 
     rig: StereoRig
     has_stamps: bool
+    files: list[Path]
 
     def __len__(self) -> int: ...
 

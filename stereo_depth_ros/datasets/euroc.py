@@ -58,6 +58,8 @@ class EurocDataset:
             )
         self.rig = _rig(root / "cam0" / "sensor.yaml", root / "cam1" / "sensor.yaml")
         check_sizes(self.rig, self._pairs[0][1])
+        indices = [root / side / name for side in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml")]
+        self.files = [*indices, *left.values(), *right.values()]
 
     def __len__(self) -> int:
         return len(self._pairs)

@@ -45,6 +45,7 @@ class ImagesDataset:
                 settings=("left_yaml", "right_yaml"),
             )
         self._pairs, self.skipped, self.warnings = found.pairs, len(found.skipped), found.warnings
+        self.files = [*files, *(path for pair in found.pairs for path in pair), *found.skipped]
         self.rig = _named(StereoRig.from_yaml(*files))
         for path in self._pairs[0]:
             check_sizes(self.rig, path)

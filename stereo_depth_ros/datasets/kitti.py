@@ -67,6 +67,9 @@ class KittiDataset:
         self.skipped = len(names) - len(kept)
         self._pairs = [(folder / left / name, folder / right / name) for name in kept]
         self._stamps = read_stamps(folder, Path(left).parent, numbers, names)
+        truths = [folder / truth / name for truth in _TRUTH_FOLDERS for name in kept]
+        times = [folder / "times.txt", folder / Path(left).parent / "timestamps.txt"]
+        self.files = [*calibrations.values(), *times, *(path for pair in self._pairs for path in pair), *truths]
         height, width = read_image(self._pairs[0][0]).shape[:2]
         calibration = read_calibration(calibrations[names[0]])
         self.rig = rig_from_calibration(calibration, (cameras[0], cameras[1]), (width, height))

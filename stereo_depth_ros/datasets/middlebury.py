@@ -64,6 +64,7 @@ class MiddleburyDataset:
         else:
             self.rig = self._published_rig(folder, (width, height), doffs)
         check_sizes(self.rig, self.scene.right_path)
+        self.files = [*self.scene.files, calibration_file, folder / "dmin.txt"]
 
     def __len__(self) -> int:
         return 1

@@ -42,6 +42,7 @@ class MiddleburyScene:
     Attributes:
         left_path, right_path: the images.
         truth_path: file of the true disparities of the left image; None without truth.
+        files: all files that are read.
 
     Raises:
         BagError: unknown layout.
@@ -50,6 +51,8 @@ class MiddleburyScene:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.left_path, self.right_path, self.truth_path = _find_layout(folder)
+        truth = [self.truth_path] if self.truth_path else []
+        self.files = [self.left_path, self.right_path, *truth, *(folder / name for name in _VISIBLE_MASKS)]
 
     @cached_property
     def size(self) -> tuple[int, int]:

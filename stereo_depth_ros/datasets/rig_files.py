@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 
-__all__ = ["read_rig"]
+__all__ = ["read_rig", "rig_files"]
 
 _YAML = (".yaml", ".yml")
 _REMEDY = "give LEFT.yaml and RIGHT.yaml, a folder with both, or a bag"
@@ -32,18 +33,33 @@ def read_rig(paths: Sequence[Path], left: str | None = None, right: str | None =
         BagError, TopicError: no readable bag, or no stereo pair with camera infos in it.
         CalibrationError: files that are missing or not those of a rig.
     """
+    cameras = _camera_files(paths)
+    return StereoRig.from_yaml(*cameras) if cameras else _of_bag(paths[0], left, right)
+
+
+def rig_files(paths: Sequence[Path]) -> list[Path]:
+    """The files that :func:`read_rig` reads.
+
+    Raises:
+        CalibrationError: files that are not there.
+    """
+    return list(_camera_files(paths) or bag_files(paths[0]))
+
+
+def _camera_files(paths: Sequence[Path]) -> tuple[Path, Path] | None:
+    """Left and right file; None where the path is that of a bag."""
     if len(paths) == 2:
-        return StereoRig.from_yaml(*paths)
+        return paths[0], paths[1]
     if len(paths) != 1:
         raise CalibrationError(f"{len(paths)} paths, not 1 or 2", value=len(paths), limit=(1, 2), remedy=_REMEDY)
     path = paths[0]
     if not path.exists():
         raise CalibrationError("does not exist", subject=str(path), remedy=_REMEDY)
     if path.is_dir() and any((path / f"left{suffix}").exists() for suffix in _YAML):
-        return StereoRig.from_yaml(*_of_folder(path))
+        return _of_folder(path)
     if path.suffix in _YAML:
-        return StereoRig.from_yaml(*_with_partner(path))
-    return _of_bag(path, left, right)
+        return _with_partner(path)
+    return None
 
 
 def _of_folder(folder: Path) -> tuple[Path, Path]:

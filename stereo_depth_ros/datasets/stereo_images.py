@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
-from stereo_depth_ros.bags.sources import is_bag
+from stereo_depth_ros.bags.sources import bag_files, is_bag
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import BagError, TopicError
 from stereo_depth_ros.core.images import to_gray
@@ -42,10 +42,12 @@ class StereoImages(Protocol):
     Attributes:
         warnings: a sentence for everything that was skipped; final when all pairs have been read.
         dense: whether the pairs are a recording, in which successive images are similar.
+        files: all files that are read.
     """
 
     warnings: list[str]
     dense: bool
+    files: list[Path]
 
     def __len__(self) -> int:
         """Number of pairs, or an upper bound."""
@@ -105,6 +107,7 @@ class FolderImages:
                 settings=_SETTINGS,
             ) from error
         self._pairs, self.warnings = found.pairs, found.warnings
+        self.files = [path for pair in self._pairs for path in pair]
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -134,6 +137,7 @@ class BagImages:
 
     def __init__(self, path: Path, left: str | None = None, right: str | None = None) -> None:
         self._path = path
+        self.files = bag_files(path)
         with BagReader(path) as reader:
             self.warnings = [reader.warning] if reader.warning else []
             self._topics = reader.stereo_topics(left, right)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
-from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32, Frame
@@ -49,7 +49,8 @@ def convert_dataset(
 
     Raises:
         ConfigError: the rate is not positive.
-        BagError: the bag cannot be written, or the dataset cannot be read.
+        BagError: the dataset cannot be read.
+        OutputError: the bag exists and ``overwrite`` is false, or it is read, or it cannot be written.
     """
     if not (rate_hz > 0 and math.isfinite(rate_hz)):
         raise ConfigError(
@@ -59,6 +60,7 @@ def convert_dataset(
             remedy="set pairs per second, for example 10",
             settings=("rate_hz",),
         )
+    check_bag_output(out, dataset.files, overwrite=overwrite)
     count = 0
     with BagWriter(out, overwrite=overwrite) as bag:
         pairs = _PairWriter(bag, dataset.rig)

@@ -13,6 +13,7 @@ import numpy as np
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
@@ -32,6 +33,10 @@ class BagScenes:
     Args:
         path: the bag.
 
+    Attributes:
+        names: every name that one of the scenes may have.
+        files: all files that are read.
+
     Raises:
         BagError: not a readable bag.
         TopicError: no true disparities in it, or no stereo pair.
@@ -50,7 +55,9 @@ class BagScenes:
                     remedy="convert a dataset with true disparities, or synthesize a bag",
                 )
             self._truth_type, self._count = reader.topics[TRUTH_TOPIC].msgtype, reader.topics[TRUTH_TOPIC].count
-        BagPairs(BagSelection(path), PairingConfig()).close()  # refuses a bag without pairs before anything runs
+        with BagPairs(BagSelection(path), PairingConfig()) as pairs:  # refuses a bag without pairs before anything runs
+            self.names = [self._name(number) for number in range(pairs.count)]
+        self.files = bag_files(path)
 
     def __len__(self) -> int:
         return self._count
@@ -63,8 +70,10 @@ class BagScenes:
                 while known is not None and known[0] < pair.stamp_ns:
                     known = next(truths, None)
                 if known is not None and known[0] == pair.stamp_ns:
-                    name = f"{self._path.resolve().stem}/{number:04d}"
-                    yield SceneSource(name, partial(self._load, pair, pairs.topics.image_type, known[1]))
+                    yield SceneSource(self._name(number), partial(self._load, pair, pairs.topics.image_type, known[1]))
+
+    def _name(self, number: int) -> str:
+        return f"{self._path.resolve().stem}/{number:04d}"
 
     def _load(self, pair: SerializedPair, image_type: str, truth: bytes) -> Scene:
         rig = pair.rig(self._types)

@@ -57,10 +57,17 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Name of a scene and a function that reads it; ``load`` raises StereoDepthError where it cannot be read."""
+    """A scene that is read on demand; ``load`` raises StereoDepthError where it cannot be read.
+
+    Attributes:
+        name: name of the scene.
+        load: reads the scene.
+        files: the files that ``load`` reads, if they are those of this scene only.
+    """
 
     name: str
     load: Callable[[], Scene]
+    files: tuple[Path, ...] = ()
 
 
 class SceneSet(Protocol):
@@ -128,14 +135,20 @@ def _scenes_of(folder: Path) -> list[SceneSource]:
         if (folder / truth).is_dir() and (folder / left).is_dir():
             folders = (folder / left, folder / right, folder / truth, folder / visible)
             return [
-                SceneSource(f"{folder.resolve().name}/{path.stem}", partial(_load_kitti, folders, path.name))
+                SceneSource(
+                    f"{folder.resolve().name}/{path.stem}",
+                    partial(_load_kitti, folders, path.name),
+                    tuple(each / path.name for each in (*folders, _objects(folders))),
+                )
                 for path in list_images(folder / truth)
             ]
     try:
         scene = MiddleburyScene(folder)
     except BagError:
         return []
-    return [SceneSource(folder.resolve().name, partial(_load_middlebury, scene))] if scene.truth_path else []
+    if not scene.truth_path:
+        return []
+    return [SceneSource(folder.resolve().name, partial(_load_middlebury, scene), tuple(scene.files))]
 
 
 def _load_middlebury(scene: MiddleburyScene) -> Scene:
@@ -146,7 +159,7 @@ def _load_middlebury(scene: MiddleburyScene) -> Scene:
 
 def _load_kitti(folders: tuple[Path, Path, Path, Path], name: str) -> Scene:
     left, right, truth, visible = folders
-    objects = truth.parent / "obj_map" / name
+    objects = _objects(folders) / name
     return make_scene(
         _gray(left / name),
         _gray(right / name),
@@ -154,6 +167,10 @@ def _load_kitti(folders: tuple[Path, Path, Path, Path], name: str) -> Scene:
         np.isfinite(read_truth(visible / name)) if (visible / name).exists() else None,
         np.greater(read_disparity_image(objects), 0) if objects.exists() else None,
     )
+
+
+def _objects(folders: tuple[Path, Path, Path, Path]) -> Path:
+    return folders[2].parent / "obj_map"
 
 
 def _gray(path: Path) -> U8:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Confidence from the disparities: how many of those around a pixel agree with its own."""
+"""Confidence from local consistency: the share of surrounding disparities that agree with that of the pixel."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from stereo_depth_ros.core.types import F32
 __all__ = ["local_consistency"]
 
 RADIUS = 9
-STRIDE = 3  # a ninth of the window is as good a sample of it
+STRIDE = 3  # one pixel in nine is a sufficient sample of the window
 TOLERANCE_PX = 1.0
 SAMPLES = (2 * RADIUS // STRIDE + 1) ** 2 - 1
 
 
 def local_consistency(disparity_px: F32, margin: F32 | None = None) -> F32:
-    """Share of the pixels around, in a grid of 7 x 7 over 19 x 19 pixels, that differ by at most 1 px.
+    """Share of the surrounding pixels, in a grid of 7 x 7 over 19 x 19 pixels, that differ by at most 1 px.
 
-    Wrong matches are rarely many of one kind in one place: that tells more than how much better a window's cost is than
-    its second best. Holes and pixels outside the image do not agree.
+    Wrong matches rarely agree with each other locally, so this predicts errors better than the margin of the best cost
+    over the second best. Holes and pixels outside the image do not agree.
 
     Args:
         disparity_px: float32 (H, W), NaN where invalid.
-        lead: float32 (H, W), in [0, 1], what a method knows besides of its costs; the share is multiplied by it.
+        margin: float32 (H, W), in [0, 1], confidence from the costs of the method; multiplies the share.
 
     Returns:
         float32 (H, W) in [0, 1], 0 where invalid.
@@ -40,7 +40,7 @@ def local_consistency(disparity_px: F32, margin: F32 | None = None) -> F32:
 
 @compiled(allocates=False)
 def _count_row(here: F32, there: F32, shift: int, counts: F32) -> None:
-    """Adds 1 where ``there``, ``shift`` columns on, agrees with ``here``."""
+    """Add 1 where ``there``, ``shift`` columns on, agrees with ``here``."""
     begin, end = max(0, -shift), min(here.size, here.size - shift)
     if begin < end:
         own, other, total = here[begin:end], there[begin + shift : end + shift], counts[begin:end]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Matching by a network: two images in, a disparity out, with the user's own weights."""
+"""Matching by a user-supplied neural network: two images in, a disparity map out."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from stereo_depth_ros.matching.serial import SerialMatcher
 __all__ = ["OnnxMatcher"]
 
 INPUT_TYPES: dict[str, type[np.generic]] = {"tensor(float)": np.float32, "tensor(uint8)": np.uint8}
-PAD_MULTIPLE = 32  # sizes that are free are padded to it: networks halve their images up to five times
+PAD_MULTIPLE = 32  # padding of variable sizes: networks downsample up to five times by 2
 
 
 class OnnxMatcher(SerialMatcher):
     """The network in the file ``onnx_model``, run by ONNX Runtime on the CPU.
 
-    It has two inputs (1, C, H, W) of 1 or 3 channels that take gray values of 0 to 255 as float32 or uint8; any scaling
-    or normalization belongs into the network. The left image is the input with "left" in its name, or else the first.
+    It has two inputs (1, C, H, W) of 1 or 3 channels with gray values of 0 to 255 as float32 or uint8; any scaling or
+    normalization must be part of the network. The left image is the input with "left" in its name, or else the first.
     Of several outputs the disparity is the one with "disp" in its name: (1, 1, H, W), (1, H, W) or (H, W), positive, in
-    pixels of the input and for each of them.
+    pixels of the input, one per pixel.
 
-    - A width or height that the network fixes: the images are resized to it; disparities are scaled back and taken from
-      the nearest pixel, because a mean of two surfaces lies on neither.
-    - A width or height that is free: the images are padded, at the right and below, to a multiple of 32.
-    - ``min_disparity``: the images are moved apart by it, so that 0 is for the network where the search begins.
+    - Fixed width or height: the images are resized to it; disparities are scaled back and sampled from the nearest
+      pixel, because interpolation across an edge lies on neither surface.
+    - Variable width or height: the images are padded at the right and bottom to a multiple of 32.
+    - ``min_disparity``: the images are shifted by it, so that 0 for the network is the smallest disparity.
 
-    Disparities that leave the right image are BORDER; those that are not finite or outside the range searched are
-    NO_MATCH. There is no confidence.
+    Disparities that leave the right image are BORDER; those that are not finite or outside the search range are
+    NO_MATCH. The confidence is local consistency. ``support_px`` is (1, 1), as the receptive field is not known.
     """
 
     name = "onnx"
     step_px = 1 / X16_STEPS
-    support_px = (1, 1)  # that of the network is not known
+    support_px = (1, 1)  # the receptive field is not known
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where ONNX Runtime or the file is missing, or the network has other inputs or outputs."""
+        """Raise ConfigError if ONNX Runtime or the file is missing, or inputs or outputs do not match."""
         check_search(config)
         super().__init__(config)
         self._session = _open(config.onnx_model)
@@ -76,22 +76,27 @@ class OnnxMatcher(SerialMatcher):
         model, size = self.config.onnx_model, left.shape[2:]
         try:
             (output,) = self._session.run([self._output], {self._left.name: left, self._right.name: right})
-        except Exception as error:  # the errors of ONNX Runtime have no other class in common
-            raise ConfigError(
-                f"onnx_model = {model!r} fails on inputs of shape {left.shape}: {error}: "
-                "export it for images of this size, or of any size"
+        except Exception as error:  # ONNX Runtime has no common base class of its errors
+            raise _model_error(
+                model,
+                f"fails on inputs of shape {left.shape}: {error}",
+                left.shape,
+                "export it for images of this size, or of any size",
             ) from error
         if output.shape[-2:] != size or output.size != size[0] * size[1]:
-            raise ConfigError(
-                f"onnx_model = {model!r} answers inputs of shape {left.shape} with {self._output!r} of shape "
-                f"{output.shape}, it must be one disparity for each pixel: export its disparity of full size"
+            raise _model_error(
+                model,
+                f"returns for inputs of shape {left.shape} the output {self._output!r} of shape {output.shape}, "
+                "it must have one disparity per pixel",
+                size,
+                "export its disparity of full size",
             )
         return np.asarray(output, np.float32).reshape(size)
 
 
 @dataclass(frozen=True)
 class _Input:
-    """An image input of the network; height and width are None where they are free."""
+    """An image input of the network; height and width are None if variable."""
 
     name: str
     dtype: type[np.generic]
@@ -101,17 +106,20 @@ class _Input:
 
     @classmethod
     def of(cls, node: Any, model: str) -> _Input:
-        """From the description by ONNX Runtime; ConfigError where no image fits."""
+        """From the description by ONNX Runtime; ConfigError if it does not take an image."""
         sizes = [size if isinstance(size, int) else None for size in node.shape]
         if len(sizes) != 4 or sizes[0] not in (None, 1) or sizes[1] not in (1, 3) or node.type not in INPUT_TYPES:
-            raise ConfigError(
-                f"onnx_model = {model!r}: input {node.name!r} is {node.type} of shape {node.shape}, it must be "
-                f"{' or '.join(INPUT_TYPES)} of shape (1, 1 or 3, height, width): export the network so"
+            expected = f"{' or '.join(INPUT_TYPES)} of shape (1, 1 or 3, height, width)"
+            raise _model_error(
+                model,
+                f"has an input {node.name!r} that is {node.type} of shape {node.shape}, it must be {expected}",
+                expected,
+                "export the network so",
             )
         return cls(node.name, INPUT_TYPES[node.type], sizes[1], *sizes[2:])
 
     def size(self, image: U8) -> tuple[int, int]:
-        """Height and width of the image inside the tensor."""
+        """Height and width of the image within the tensor."""
         return self.height or image.shape[0], self.width or image.shape[1]
 
     def tensor(self, image: U8) -> Any:
@@ -126,11 +134,18 @@ class _Input:
 
 
 def _open(model: str) -> Any:
-    """The inference session of a file; one that was opened to check parameters is the one that is used."""
+    """The inference session of a file; cached, as parameters are checked by opening it."""
     if not model:
-        raise ConfigError("onnx_model is empty, the matcher onnx needs a network: set it to the path of an .onnx file")
+        raise ConfigError(
+            "onnx_model is empty, the matcher onnx needs a network",
+            value=model,
+            remedy="set it to the path of an .onnx file",
+            settings=("onnx_model",),
+        )
     if not Path(model).is_file():
-        raise ConfigError(f"onnx_model = {model!r} is no file: correct the path, relative ones begin at {Path.cwd()}")
+        raise _model_error(
+            model, "is not a file", "an .onnx file", f"correct the path, relative ones begin at {Path.cwd()}"
+        )
     status = Path(model).stat()
     return _session(model, status.st_mtime_ns, status.st_size)
 
@@ -140,22 +155,35 @@ def _session(model: str, _mtime_ns: int, _size: int) -> Any:
     try:
         runtime = importlib.import_module("onnxruntime")
     except ImportError as error:
-        raise ConfigError(f"the matcher onnx needs onnxruntime: pip install onnxruntime ({error})") from error
+        raise ConfigError(
+            f"the matcher onnx needs onnxruntime, which cannot be imported ({error})", remedy="pip install onnxruntime"
+        ) from error
     options = runtime.SessionOptions()
     options.use_deterministic_compute = True
-    options.log_severity_level = 4  # only what ends the process: errors come as exceptions
+    options.log_severity_level = 4  # fatal only: errors are raised as exceptions
     try:
         return runtime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # the errors of ONNX Runtime have no other class in common
-        raise ConfigError(f"onnx_model = {model!r} is no network that can be run: {error}: export it again") from error
+    except Exception as error:  # ONNX Runtime has no common base class of its errors
+        raise _model_error(
+            model, f"is not a network that can be run: {error}", "an ONNX network", "export it again"
+        ) from error
+
+
+def _model_error(model: str, problem: str, limit: object, remedy: str) -> ConfigError:
+    return ConfigError(
+        f"onnx_model = {model!r} {problem}", value=model, limit=limit, remedy=remedy, settings=("onnx_model",)
+    )
 
 
 def _inputs(nodes: list[Any], model: str) -> tuple[_Input, _Input]:
     """The left and the right input."""
     if len(nodes) != 2:
-        raise ConfigError(
-            f"onnx_model = {model!r} has {len(nodes)} input(s), {', '.join(node.name for node in nodes)}, it must have "
-            "2, the left and the right image: export the network so"
+        names = ", ".join(node.name for node in nodes)
+        raise _model_error(
+            model,
+            f"has {len(nodes)} input(s), {names}, it must have 2, the left and the right image",
+            2,
+            "export the network so",
         )
     first, second = (_Input.of(node, model) for node in nodes)
     exchanged = "right" in first.name.lower() and "left" in second.name.lower()
@@ -167,15 +195,17 @@ def _disparity_output(nodes: list[Any], model: str) -> str:
     names = [str(node.name) for node in nodes]
     disparities = names if len(names) == 1 else [name for name in names if "disp" in name.lower()]
     if len(disparities) != 1:
-        raise ConfigError(
-            f"onnx_model = {model!r} has {len(names)} outputs, {', '.join(names)}, exactly one must have disp in its "
-            "name: export the network with one output, or rename it"
+        raise _model_error(
+            model,
+            f"has {len(names)} outputs, {', '.join(names)}, exactly one must have disp in its name",
+            1,
+            "export the network with one output, or rename it",
         )
     return disparities[0]
 
 
 def _reasons(disparity_px: F32, config: MatchingConfig) -> U8:
-    """uint8 (H, W): what is wrong with disparities of the network."""
+    """uint8 (H, W): reasons against disparities of the network."""
     columns = np.arange(disparity_px.shape[1])
     searched = (disparity_px >= config.min_disparity) & (disparity_px <= config.max_disparity)
     outside = (disparity_px > columns) | (disparity_px < columns - columns[-1])

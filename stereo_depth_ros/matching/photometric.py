@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Brightness: the left image as bright as the right one, region by region."""
+"""Photometric correction: local gray-level offsets between the left and the right image."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ from stereo_depth_ros.matching.window.fixed_window import WindowMatcher
 
 __all__ = ["match_photometric"]
 
-FIRST_WINDOW_PX = 9
+INITIAL_WINDOW_PX = 9
 REGION_PX = 31
-LARGEST_VARIATION = np.float32(15)  # gray levels from the median of all; beyond it a match is wrong, or an outlier
-LEAST_SHARE = 0.05  # of a region that is matched, from which on its mean difference counts for half or more
+LARGEST_VARIATION = np.float32(15)  # gray levels from the median; larger ones are wrong matches or outliers
+LEAST_SHARE = 0.05  # matched share of a region at which its mean difference has half weight
 
 
 def match_photometric(left: U8, right: U8, config: MatchingConfig) -> U8:
-    """The left image less what it is brighter than the right one, on average over the matched pixels of a region.
+    """The left image minus its gray-level offset from the right one, averaged over the matched pixels of a region.
 
-    Costs of single pixels take a point to be equally bright in both images. Really it differs by a few levels, which
-    is more than many pixels differ that should be told apart: the light that reaches two cameras from one surface is
-    not the same. But neighbors differ alike (Gennert 1988). A first match of zero-mean windows, which need no equal
-    brightness, tells by how much; where nothing matches (no texture, windows of one pixel), nothing changes.
+    Pixel-wise costs assume brightness constancy. In practice a point differs by a few gray levels between the cameras,
+    more than many pixels that must be distinguished, but neighbors differ alike (Gennert 1988). The offset is estimated
+    from an initial match with zero-mean windows, which do not assume brightness constancy; where nothing matches (no
+    texture, windows of one pixel), the image is unchanged.
 
     Args:
-        left, right: uint8 (H, W), gray, rectified, which the window matcher accepts with ``config``.
-        config: the search, and ``correlation_window_size`` for the first match, up to 9 px.
+        left, right: uint8 (H, W), gray, rectified, valid for the window matcher with ``config``.
+        config: the search range, and ``correlation_window_size`` of the initial match, up to 9 px.
 
     Returns:
         uint8 (H, W).
     """
-    first = WindowMatcher(
+    initial = WindowMatcher(
         MatchingConfig(
             window_cost="zssd",
             min_disparity=config.min_disparity,
             num_disparities=config.num_disparities,
-            correlation_window_size=min(config.correlation_window_size, FIRST_WINDOW_PX),
+            correlation_window_size=min(config.correlation_window_size, INITIAL_WINDOW_PX),
             uniqueness_ratio=10.0,
             disp12_max_diff=1,
             speckle_range=1,
         )
     ).match(left, right)
-    matched = first.reasons == 0
+    matched = initial.reasons == 0
     rows, columns = np.indices(left.shape, np.float32)
-    partners = columns - np.where(matched, first.disparity_px, np.float32(0))
+    partners = columns - np.where(matched, initial.disparity_px, np.float32(0))
     difference = left - cv2.remap(right.astype(np.float32), partners, rows, cv2.INTER_LINEAR)
     usual = np.median(difference[matched]) if matched.any() else np.float32(0)
     bounded = np.clip(difference, usual - LARGEST_VARIATION, usual + LARGEST_VARIATION)

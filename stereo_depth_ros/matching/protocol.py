@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every matcher is, and the checks at its door."""
+"""Protocol of the matchers, and the checks of their input."""
 
 from __future__ import annotations
 
@@ -14,69 +14,81 @@ from stereo_depth_ros.core.types import F32, U8, MatchResult
 
 __all__ = ["Matcher", "check_buffer", "check_images", "check_pair", "check_search"]
 
-# Disparities are 16-bit integers in steps of 1/16 px, as OpenCV's; one whole step is kept for "invalid".
+# Disparities are 16-bit integers in steps of 1/16 px, as in OpenCV; one whole pixel is reserved for "invalid".
 X16_STEPS = 16
 LOWEST_DISPARITY = -2047
 HIGHEST_DISPARITY = 2047
 
 
 class Matcher(Protocol):
-    """A stereo matching method. It keeps buffers between frames: calls from several threads wait for each other."""
+    """A stereo matching method. It keeps buffers between frames: concurrent calls are serialized."""
 
     @property
     def name(self) -> str:
-        """Name under which :func:`~stereo_depth_ros.matching.create_matcher` makes it."""
+        """Name for :func:`~stereo_depth_ros.matching.create_matcher`."""
 
     @property
     def config(self) -> MatchingConfig:
-        """The parameters in use; other parameters are another matcher."""
+        """The parameters; they do not change."""
 
     @property
     def step_px(self) -> float:
-        """Smallest difference between two disparities, px."""
+        """Resolution of the disparities, px."""
 
     @property
     def support_px(self) -> tuple[int, int]:
-        """Width and height, odd, of the pixels around one that its matching cost is made of."""
+        """Width and height, odd, px, of the window of a matching cost, without prefilters or smoothing."""
 
     def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
         """Disparities of the left image.
 
         Args:
             left, right: uint8 (H, W), rectified gray: a point has the same row in both.
-            out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it. The matcher
-                fills it with a copy, so that it may be used again while results are kept for their confidence.
+            out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it. It receives a
+                copy, so that it can be reused while results are kept for their confidence.
 
         Raises:
-            ImageError: wrong dtype or shape, or too small for the window and the search.
+            ImageError: wrong dtype or shape, or too small for the window and the search range.
         """
 
 
 def check_search(config: MatchingConfig) -> None:
-    """ConfigError where the disparities searched do not fit in 16-bit steps of 1/16 px."""
+    """Raise ConfigError if the search range does not fit in 16-bit steps of 1/16 px."""
     if config.min_disparity < LOWEST_DISPARITY or config.max_disparity > HIGHEST_DISPARITY:
         raise ConfigError(
             f"disparities {config.min_disparity}..{config.max_disparity} are searched, but only "
-            f"{LOWEST_DISPARITY}..{HIGHEST_DISPARITY} can be stored: change min_disparity or lower disparity_range"
+            f"{LOWEST_DISPARITY}..{HIGHEST_DISPARITY} can be stored",
+            value=(config.min_disparity, config.max_disparity),
+            limit=(LOWEST_DISPARITY, HIGHEST_DISPARITY),
+            remedy="change min_disparity or lower disparity_range",
+            settings=("min_disparity", "disparity_range"),
         )
 
 
 def check_images(left: U8, right: U8) -> None:
-    """ImageError where the images are not two uint8 (H, W) of one size."""
+    """Raise ImageError if the images are not two uint8 (H, W) of one size."""
     for side, image in (("left", left), ("right", right)):
         if image.dtype != np.uint8 or image.ndim != 2:
             raise ImageError(
-                f"{side} image is {image.dtype} of shape {image.shape}, matching takes uint8 (H, W): convert it to gray"
+                f"{side} image is {image.dtype} of shape {image.shape}, matching takes uint8 (H, W)",
+                value=(str(image.dtype), image.shape),
+                limit="uint8 (H, W)",
+                remedy="convert it to gray",
             )
     if left.shape != right.shape:
-        raise ImageError(f"left image is {left.shape}, right image is {right.shape}: both must have one size")
+        raise ImageError(
+            f"left image is {left.shape}, right image is {right.shape}",
+            value=right.shape,
+            limit=left.shape,
+            remedy="both must have one size",
+        )
 
 
 def check_pair(left: U8, right: U8, config: MatchingConfig, partial: bool = False) -> None:
-    """ImageError where the images are not two uint8 (H, W) of one size, with room for the window and the search.
+    """Raise ImageError if the images are not two uint8 (H, W) of one size, large enough for window and search range.
 
     Args:
-        partial: the method also searches the part of the range that lies in the right image: one disparity is enough.
+        partial: the method accepts pixels with only part of the range in the right image: one disparity is enough.
     """
     check_images(left, right)
     height, width = left.shape
@@ -88,15 +100,21 @@ def check_pair(left: U8, right: U8, config: MatchingConfig, partial: bool = Fals
     if width < need or height < window:
         raise ImageError(
             f"images of {width} x {height} px (width x height), but a window of {window} px searched over disparities "
-            f"{config.min_disparity}..{config.max_disparity} needs {need} x {window} px: "
-            "lower disparity_range or correlation_window_size, or use larger images"
+            f"{config.min_disparity}..{config.max_disparity} needs {need} x {window} px",
+            value=(width, height),
+            limit=(need, window),
+            remedy="lower disparity_range or correlation_window_size, or use larger images",
+            settings=("disparity_range", "correlation_window_size"),
         )
 
 
 def check_buffer(out: F32, shape: tuple[int, ...]) -> None:
-    """ImageError where ``out`` is no buffer for the disparities of images of ``shape``."""
+    """Raise ImageError if ``out`` cannot hold the disparities of images of ``shape``."""
     if out.dtype != np.float32 or out.shape != shape or not out.flags.c_contiguous or not out.flags.writeable:
         raise ImageError(
             f"disparity buffer is {out.dtype} of shape {out.shape}, it must be writeable C-contiguous float32 "
-            f"of shape {shape}: pass such an array or None"
+            f"of shape {shape}",
+            value=(str(out.dtype), out.shape),
+            limit=("float32", shape),
+            remedy="pass such an array or None",
         )

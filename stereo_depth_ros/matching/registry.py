@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Matching methods by name."""
+"""Creation of matchers by name or number."""
 
 from __future__ import annotations
 
@@ -23,24 +23,30 @@ def create_matcher(name: str | int, config: MatchingConfig | None = None, **fiel
     """A matcher by name, or by its number in ``stereo_algorithm``.
 
     Args:
-        name: one of ``MATCHERS``; it decides over ``config.stereo_algorithm``.
+        name: one of ``MATCHERS``; it overrides ``config.stereo_algorithm``.
         config: parameters, None for the defaults.
-        fields: parameters that differ from ``config``, by field name or outside name (``disparity_range``).
+        fields: parameters that differ from ``config``, by field name or public name (``disparity_range``).
 
     Raises:
-        ConfigError: unknown name, unknown parameter, or a value that the config or the method refuses.
+        ConfigError: unknown name, unknown parameter, or a value that is invalid for the config or the method.
     """
     names = list(MATCHERS)
     number = names.index(name) if isinstance(name, str) and name in MATCHERS else name
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(names):
         known = ", ".join(f"{text} ({position})" for position, text in enumerate(names))
-        raise ConfigError(f"unknown matcher {name!r}: known are {known}")
+        raise ConfigError(
+            f"unknown matcher {name!r}",
+            value=name,
+            limit=tuple(names),
+            remedy=f"known are {known}",
+            settings=("matcher",),
+        )
     changes = {**fields, "stereo_algorithm": number}
     return _matcher_class(names[number])(replace_checked(config or MatchingConfig(), changes))
 
 
 def matcher_from_config(config: MatchingConfig) -> Matcher:
-    """The matcher that ``config.stereo_algorithm`` names; ConfigError where the method refuses the parameters."""
+    """The matcher of ``config.stereo_algorithm``; ConfigError for parameters that are invalid for the method."""
     return create_matcher(config.stereo_algorithm, config)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Camera info messages to cameras and back; any object with the fields of the message will do."""
+"""CameraInfo messages of camera models."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def camera_info_message(types: MessageTypes, camera: CameraModel, stamp_ns: int,
 
     Args:
         types: the family of messages.
-        camera: what to write.
+        camera: the camera model.
         stamp_ns: header stamp, integer nanoseconds.
-        frame_id: header frame; the camera's own by default.
+        frame_id: header frame; that of the camera by default.
     """
     return types.CameraInfo(
         header=make_header(types, stamp_ns, camera.frame_id if frame_id is None else frame_id),
@@ -40,9 +40,9 @@ def camera_info_message(types: MessageTypes, camera: CameraModel, stamp_ns: int,
 
 
 def rectified_camera_info(types: MessageTypes, left: CameraModel, stamp_ns: int, frame_id: str | None = None) -> Any:
-    """The sensor_msgs/CameraInfo of an image in the rectified frame of the left camera, such as depth.
+    """The sensor_msgs/CameraInfo of an image in the rectified left frame, such as depth.
 
-    Its K is the rectified one, D zero, R the identity; arguments as for :func:`camera_info_message`.
+    K is that of the rectified image, D zero, R the identity; arguments as for :func:`camera_info_message`.
     """
     K = left.P[:, :3]
     camera = replace(left.rectified(), P=np.column_stack([K, np.zeros(3)]))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The header stamp of a serialized message, read, replaced and spelled without decoding the rest."""
+"""Header stamp of a serialized message: read, replaced and formatted without deserialization."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from stereo_depth_ros.core.errors import MessageError
 __all__ = ["cdr_stamp_ns", "stamp_text", "with_stamp", "without_stamp"]
 
 _NS = 1_000_000_000
-_HEADER_BYTES, _STAMP_END = 4, 12  # encapsulation, then sec and nanosec of the header that begins the message
+_HEADER_BYTES, _STAMP_END = 4, 12  # encapsulation, then sec and nanosec of the leading header
 
 
 def cdr_stamp_ns(data: bytes) -> int:
-    """Header stamp of the CDR bytes of a message that begins with std_msgs/Header, integer nanoseconds.
+    """Header stamp in the CDR bytes of a message that starts with std_msgs/Header, integer nanoseconds.
 
     Raises:
         MessageError: fewer bytes than the stamp needs.
@@ -40,14 +40,17 @@ def without_stamp(data: bytes) -> bytes:
 
 
 def stamp_text(stamp_ns: int) -> str:
-    """A stamp in seconds with all nine decimals, which a float does not hold."""
+    """A stamp in seconds with all nine decimals, more than a float can represent."""
     return f"{stamp_ns // _NS}.{stamp_ns % _NS:09d}"
 
 
 def _stamp_format(data: bytes) -> struct.Struct:
     if len(data) < _STAMP_END:
         raise MessageError(
-            f"serialized message of {len(data)} bytes, a header stamp ends at byte {_STAMP_END}: the bag is damaged"
+            f"serialized message of {len(data)} bytes, a header stamp ends at byte {_STAMP_END}",
+            value=len(data),
+            limit=_STAMP_END,
+            remedy="the bag is damaged",
         )
     # The second byte of the encapsulation is odd for little-endian (OMG DDSI-RTPS 2.2, 10.5).
     return struct.Struct("<iI" if data[1] & 1 else ">iI")

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""stereo_msgs/DisparityImage to and from our disparities: the only file that knows the published convention.
+"""stereo_msgs/DisparityImage to and from disparities; defines the published convention.
 
-Inside, a disparity is d = x_left - x_right. Published is d - (cx_left - cx_right), so that Z = f T / d holds of the
-published value for verged cameras too; min_disparity and max_disparity are shifted with it, and an invalid pixel is
+Internally, a disparity is d = x_left - x_right. Published is d - (cx_left - cx_right), so that Z = f T / d also holds
+for verged cameras; min_disparity and max_disparity are shifted accordingly, and an invalid pixel is
 ``min_disparity - 1`` of the message.
 """
 
@@ -56,7 +56,7 @@ def disparity_message(
         disparity_px: float32 (H, W), x_left - x_right, NaN where invalid.
         rig: the rectified cameras.
         min_disparity, max_disparity: first and last whole disparity searched, pixels, before the shift.
-        step_px: smallest difference of two disparities the matcher can tell.
+        step_px: resolution of the disparities.
         stamp_ns, frame_id: header, that of the left image.
         support_px: width and height of the matcher's support, for the valid window.
         payload: a reused ``types.payload(4 * H * W)``, or None for a new one.
@@ -65,7 +65,7 @@ def disparity_message(
     data, view = payload or types.payload(disparity_px.nbytes)
     published = view.view(np.float32).reshape(height, width)
     doffs = np.float32(rig.doffs_px)
-    # The same float32 subtraction as for the pixels: a pixel at the very minimum is not below it.
+    # The same float32 subtraction as for the pixels, so that a pixel at the minimum is not below it.
     shifted_min = np.float32(min_disparity) - doffs
     run_bands(_publish, height, disparity_px, doffs, shifted_min - np.float32(1), published)
     header = make_header(types, stamp_ns, frame_id)
@@ -87,7 +87,7 @@ def disparity_message(
 
 
 def published_disparity(msg: Any, topic: str = "disparity") -> F32:
-    """The published disparities of a DisparityImage, those of which Z = f T / d.
+    """The disparities of a DisparityImage as published, with Z = f T / d.
 
     Returns:
         float32 (H, W), NaN where invalid (below the message's min_disparity, or not finite).
@@ -97,18 +97,38 @@ def published_disparity(msg: Any, topic: str = "disparity") -> F32:
     """
     image = msg.image
     if image.encoding != "32FC1":
-        raise MessageError(f"{topic}: encoding {image.encoding!r}, a DisparityImage holds 32FC1: publish float32")
+        raise MessageError(
+            f"encoding {image.encoding!r}, a DisparityImage holds 32FC1",
+            subject=topic,
+            value=image.encoding,
+            limit="32FC1",
+            remedy="publish float32",
+        )
     if image.width == 0 or image.height == 0 or image.step < 4 * image.width or image.step % 4:
         raise MessageError(
-            f"{topic}: step {image.step} with {image.width}x{image.height} pixels, it is at least 4 x width and a "
-            "multiple of 4, and no side is 0: fill in width, height and step"
+            f"step {image.step} with {image.width}x{image.height} pixels, it is at least 4 x width and a multiple "
+            "of 4, and no side is 0",
+            subject=topic,
+            value=(image.step, image.width, image.height),
+            limit=4 * image.width,
+            remedy="fill in width, height and step",
         )
     if len(image.data) < image.step * image.height:
         raise MessageError(
-            f"{topic}: {len(image.data)} bytes, step x height is {image.step * image.height}: the payload is cut short"
+            f"{len(image.data)} bytes, step x height is {image.step * image.height}",
+            subject=topic,
+            value=len(image.data),
+            limit=image.step * image.height,
+            remedy="the payload is truncated",
         )
     if not (msg.f > 0 and msg.t > 0):
-        raise MessageError(f"{topic}: f = {msg.f}, T = {msg.t}, both must be positive (pixels, meters): calibrate")
+        raise MessageError(
+            f"f = {msg.f}, T = {msg.t}, both must be positive (pixels, meters)",
+            subject=topic,
+            value=(msg.f, msg.t),
+            limit=0,
+            remedy="calibrate",
+        )
     dtype = np.dtype(">f4" if image.is_bigendian else "<f4")
     rows = np.frombuffer(image.data, dtype, image.step // 4 * image.height).reshape(image.height, -1)[:, : image.width]
     published = np.ascontiguousarray(rows, np.float32)
@@ -118,7 +138,7 @@ def published_disparity(msg: Any, topic: str = "disparity") -> F32:
 
 
 def matched_disparity(msg: Any, rig: StereoRig, topic: str = "disparity") -> F32:
-    """The disparities of a DisparityImage as a matcher gives them: x_left - x_right of the rectified images.
+    """The disparities of a DisparityImage in the convention of the matchers: x_left - x_right of the rectified images.
 
     Returns:
         float32 (H, W), NaN where invalid.
@@ -130,15 +150,19 @@ def matched_disparity(msg: Any, rig: StereoRig, topic: str = "disparity") -> F32
 
 
 def published_triangulation(msg: Any, rig: StereoRig, topic: str = "disparity") -> Triangulation:
-    """What turns published disparities into points: the rig's, without the offset that is taken away already.
+    """Triangulation of published disparities: that of the rig without the offset, which is already subtracted.
 
     Raises:
         MessageError: f or T of the message are not those of the camera infos.
     """
     if abs(msg.f - rig.f_px) > 1e-3 * rig.f_px or abs(msg.t - rig.baseline_m) > 1e-3 * rig.baseline_m:
         raise MessageError(
-            f"{topic}: f = {msg.f:g} px, T = {msg.t:g} m, the camera infos say {rig.f_px:g} px, {rig.baseline_m:g} m "
-            "(limit 0.1 %): subscribe the camera infos that the disparities were made with"
+            f"f = {msg.f:g} px, T = {msg.t:g} m, the camera infos have {rig.f_px:g} px, {rig.baseline_m:g} m "
+            "(limit 0.1 %)",
+            subject=topic,
+            value=(msg.f, msg.t),
+            limit=(rig.f_px, rig.baseline_m),
+            remedy="subscribe to the camera infos of these disparities",
         )
     return dataclasses.replace(Triangulation.from_rig(rig), doffs_px=0.0)
 
@@ -146,7 +170,7 @@ def published_triangulation(msg: Any, rig: StereoRig, topic: str = "disparity") 
 def valid_window(
     width: int, height: int, min_disparity: float, max_disparity: float, support_px: tuple[int, int]
 ) -> tuple[int, int, int, int]:
-    """Where every disparity can be searched with the whole support inside both images: x, y, width, height in px."""
+    """Region with every disparity searched and the whole support inside both images: x, y, width, height in px."""
     beside, above = support_px[0] // 2, support_px[1] // 2
     left = min(width, max(0, int(np.ceil(max_disparity))) + beside)
     right = width - beside + min(0, int(np.floor(min_disparity)))

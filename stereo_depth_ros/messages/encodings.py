@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the pixels of each ROS image encoding lie in a message, and how they become mono8, rgb8 or bgr8."""
+"""Memory layout of the ROS image encodings, and conversion to mono8, rgb8 or bgr8."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ __all__ = ["ENCODINGS", "StoredEncoding", "imdecode", "payload_dtype", "to_8_bit
 
 @dataclass(frozen=True)
 class StoredEncoding:
-    """One encoding as it lies in the payload of a sensor_msgs/Image.
+    """Layout of one encoding in the payload of a sensor_msgs/Image.
 
     Attributes:
-        decoded: what it becomes: "mono8", "rgb8" or "bgr8".
+        decoded: result of decoding: "mono8", "rgb8" or "bgr8".
         samples: samples per pixel of a row.
         sample_bytes: bytes per sample, 1 or 2.
-        cvt_code: code of cv2.cvtColor that makes ``decoded`` of it, None where nothing is to be done.
-        multiple: (height, width) of the smallest block that has all colors; an image is whole blocks.
-        smallest: least height and width that can be decoded.
-        payload_rows: payload rows per two image rows; above 2 where a chroma plane follows the luma plane.
+        cvt_code: cv2.cvtColor code of the conversion to ``decoded``, None if none is needed.
+        multiple: (height, width) of the block with all colors; image sizes are multiples of it.
+        smallest: minimum height and width.
+        payload_rows: payload rows per two image rows; above 2 if a chroma plane follows the luma plane.
     """
 
     decoded: str
@@ -41,7 +41,7 @@ class StoredEncoding:
 
 
 def _bayer(cvt_code: int, sample_bytes: int) -> StoredEncoding:
-    # OpenCV interpolates from neighbors and leaves an image without an interior black.
+    # OpenCV interpolates from neighbors; an image without interior pixels would be black.
     return StoredEncoding("bgr8", 1, sample_bytes, cvt_code, smallest=3)
 
 
@@ -53,8 +53,8 @@ def _yuv420(cvt_code: int) -> StoredEncoding:
     return StoredEncoding("bgr8", 1, 1, cvt_code, multiple=(2, 2), payload_rows=3)
 
 
-# ROS names a mosaic by its first two pixels of the first two rows. OpenCV's short names (BayerBG) start one row and one
-# column later, its long names (BayerRGGB) are those of ROS.
+# ROS names a mosaic by the first two pixels of the first two rows. The short names of OpenCV (BayerBG) start one row
+# and one column later, the long names (BayerRGGB) are those of ROS.
 _BAYER_CODES = {
     "bayer_rggb": cv2.COLOR_BayerRGGB2BGR,
     "bayer_bggr": cv2.COLOR_BayerBGGR2BGR,
@@ -88,14 +88,19 @@ _WRITTEN = {"mono8": ("u1", 1), "rgb8": ("u1", 3), "bgr8": ("u1", 3), "16UC1": (
 
 
 def payload_dtype(pixels: NDArray[Any], encoding: str) -> np.dtype[Any]:
-    """The dtype that ``pixels`` of ``encoding`` have in the payload of a message we write, little-endian.
+    """The dtype of ``pixels`` of ``encoding`` in the payload of a written message, little-endian.
 
     Raises:
         MessageError: not one of mono8, rgb8, bgr8, 16UC1, 32FC1.
         ImageError: pixels of another type or shape than the encoding has.
     """
     if encoding not in _WRITTEN:
-        raise MessageError(f"encoding = {encoding!r} is not written: take one of {', '.join(_WRITTEN)}")
+        raise MessageError(
+            f"encoding = {encoding!r} is not supported for writing",
+            value=encoding,
+            limit=tuple(_WRITTEN),
+            remedy=f"use one of {', '.join(_WRITTEN)}",
+        )
     name, channels = _WRITTEN[encoding]
     dtype = np.dtype(name)
     native = dtype.newbyteorder("=")
@@ -103,8 +108,10 @@ def payload_dtype(pixels: NDArray[Any], encoding: str) -> np.dtype[Any]:
     if pixels.dtype != native or pixels.ndim < 2 or pixels.shape[2:] != trailing or not pixels.size:
         shape = f"(H, W, {channels})" if trailing else "(H, W)"
         raise ImageError(
-            f"pixels are {pixels.dtype} {pixels.shape}, {encoding} takes {native} {shape} of at least one pixel: "
-            "convert them, or name the encoding they have"
+            f"pixels are {pixels.dtype} {pixels.shape}, {encoding} takes {native} {shape} of at least one pixel",
+            value=(str(pixels.dtype), pixels.shape),
+            limit=(str(native), shape),
+            remedy="convert them, or name the encoding they have",
         )
     return dtype
 
@@ -112,8 +119,8 @@ def payload_dtype(pixels: NDArray[Any], encoding: str) -> np.dtype[Any]:
 def to_8_bit(samples: NDArray[Any]) -> U8:
     """uint8 of uint8 (unchanged) or native uint16 samples of any shape.
 
-    65535 becomes 255, as in cv_bridge: v * 255 / 65535, rounded. Of 10- or 12-bit data in 16 bits only the top is left;
-    its driver should publish it shifted up.
+    65535 becomes 255, as in cv_bridge: v * 255 / 65535, rounded. 10- or 12-bit data in 16 bits becomes dark; the driver
+    should publish it shifted to the upper bits.
     """
     if samples.dtype == np.uint8:
         return samples
@@ -132,10 +139,10 @@ _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 
 def imdecode(data: Any) -> NDArray[Any] | None:
-    """uint8 or uint16 (H, W), (H, W, 3) or (H, W, 4) as stored; None where ``data`` is no whole image of that."""
+    """uint8 or uint16 (H, W), (H, W, 3) or (H, W, 4) as stored; None if ``data`` is not a complete image of these."""
     content = bytes(data)
-    # Some versions of OpenCV fill what is missing of a truncated jpeg with gray and say nothing. A marker cannot occur
-    # inside a scan, so a whole file has its end marker behind the start of its last scan.
+    # Some versions of OpenCV silently fill the missing part of a truncated jpeg with gray. Markers do not occur inside
+    # a scan, so a complete file has its end marker after the start of its last scan.
     if content.startswith(_JPEG_START) and content.rfind(_JPEG_END) < content.rfind(_JPEG_SCAN):
         return None
     try:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Image messages to numpy and back; any object with the fields of the message will do."""
+"""Image and CompressedImage messages to frames and from arrays, for rclpy and rosbags."""
 
 from __future__ import annotations
 
@@ -20,34 +20,37 @@ __all__ = ["compressed_message", "decode", "decode_compressed", "decode_image", 
 
 
 def decode(msg: Any, topic: str = "") -> Frame:
-    """The frame of a sensor_msgs/Image or sensor_msgs/CompressedImage, told apart by their fields.
+    """The frame of a sensor_msgs/Image or sensor_msgs/CompressedImage, distinguished by their fields.
 
     Args:
         msg: the message, of any family.
         topic: its topic, for error messages.
 
     Raises:
-        MessageError: neither of the two, or what :func:`decode_image` and :func:`decode_compressed` refuse.
+        MessageError: neither of the two, or as :func:`decode_image` and :func:`decode_compressed`.
     """
     if hasattr(msg, "encoding"):
         return decode_image(msg, topic=topic)
     if hasattr(msg, "format"):
         return decode_compressed(msg, topic=topic)
     raise MessageError(
-        f"{_subject(topic)}is a {type(msg).__name__} without field 'encoding' or 'format': "
-        "take a topic of type sensor_msgs/Image or sensor_msgs/CompressedImage"
+        f"is a {type(msg).__name__} without field 'encoding' or 'format'",
+        subject=_subject(topic),
+        value=type(msg).__name__,
+        limit=("encoding", "format"),
+        remedy="use a topic of type sensor_msgs/Image or sensor_msgs/CompressedImage",
     )
 
 
 def decode_image(msg: Any, *, topic: str = "") -> Frame:
     """The frame of a sensor_msgs/Image.
 
-    Pixels are read-only. Unpadded mono8, rgb8 and bgr8 are a view on ``msg.data``, everything else is new memory:
+    Pixels are read-only. Unpadded mono8, rgb8 and bgr8 are a view on ``msg.data``, all others are copies:
     rgba8 becomes rgb8, other color bgr8, 16 bit is scaled to 8 (65535 becomes 255).
 
     Raises:
         MessageError: unknown encoding, zero or impossible size, ``step`` below a row, or a payload that is not
-            ``step * height`` bytes (padding of the last row included, as cv_bridge has it).
+            ``step * height`` bytes (including padding of the last row, as in cv_bridge).
     """
     encoding = _checked_encoding(msg, topic)
     rows = msg.height * encoding.payload_rows // 2
@@ -57,34 +60,51 @@ def decode_image(msg: Any, *, topic: str = "") -> Frame:
         samples = samples.view(">u2" if msg.is_bigendian else "<u2")
     if encoding.samples > 1:
         samples = samples.reshape(rows, msg.width, encoding.samples)
-    # One native contiguous layout for everybody: compiled kernels are specialized on it.
+    # Native contiguous layout, which the compiled kernels require.
     samples = np.require(samples, samples.dtype.newbyteorder("="), ["C", "A"])
     return _frame(msg.header, to_decoded(samples, encoding), encoding.decoded)
 
 
 def _checked_encoding(msg: Any, topic: str) -> StoredEncoding:
-    """How ``msg`` is stored, after its fields have been checked against each other; no pixel is read."""
+    """The layout of ``msg``, after a consistency check of its fields; no pixel is read."""
     subject = _subject(topic)
     encoding = ENCODINGS.get(msg.encoding)
     if encoding is None:
-        raise MessageError(f"{subject}encoding = {msg.encoding!r} is not read: publish one of {', '.join(ENCODINGS)}")
+        raise MessageError(
+            f"encoding = {msg.encoding!r} is not supported",
+            subject=subject,
+            value=msg.encoding,
+            limit=tuple(ENCODINGS),
+            remedy=f"publish one of {', '.join(ENCODINGS)}",
+        )
     for name, value, multiple in zip(("height", "width"), (msg.height, msg.width), encoding.multiple, strict=True):
         if value < encoding.smallest or value % multiple:
             raise MessageError(
-                f"{subject}{name} = {value} px cannot be {msg.encoding}, which takes multiples of {multiple} "
-                f"from {max(encoding.smallest, multiple)} on: check the driver's image size"
+                f"{name} = {value} px cannot be {msg.encoding}, which takes multiples of {multiple} "
+                f"from {max(encoding.smallest, multiple)} on",
+                subject=subject,
+                value=value,
+                limit=max(encoding.smallest, multiple),
+                remedy="check the image size of the driver",
             )
     pixel_bytes = encoding.samples * encoding.sample_bytes
     if msg.step < msg.width * pixel_bytes:
         raise MessageError(
-            f"{subject}step = {msg.step} bytes is below a row of width {msg.width} px * {pixel_bytes} = "
-            f"{msg.width * pixel_bytes} bytes of {msg.encoding}: set step to the bytes from row to row"
+            f"step = {msg.step} bytes is below a row of width {msg.width} px * {pixel_bytes} = "
+            f"{msg.width * pixel_bytes} bytes of {msg.encoding}",
+            subject=subject,
+            value=msg.step,
+            limit=msg.width * pixel_bytes,
+            remedy="set step to the bytes from row to row",
         )
     size, wanted = memoryview(msg.data).nbytes, msg.step * msg.height * encoding.payload_rows // 2
     if size != wanted:
         raise MessageError(
-            f"{subject}data has {size} bytes, step {msg.step} * height {msg.height} of {msg.encoding} takes {wanted}: "
-            "send every row whole, padding of the last one included"
+            f"data has {size} bytes, step {msg.step} * height {msg.height} of {msg.encoding} takes {wanted}",
+            subject=subject,
+            value=size,
+            limit=wanted,
+            remedy="send complete rows, including padding of the last one",
         )
     return encoding
 
@@ -92,24 +112,31 @@ def _checked_encoding(msg: Any, topic: str) -> StoredEncoding:
 def decode_compressed(msg: Any, *, topic: str = "") -> Frame:
     """The frame of a sensor_msgs/CompressedImage (jpeg, png).
 
-    One channel is mono8 (bgr8 where ``format`` says that it holds a Bayer mosaic), color is bgr8, as image_transport
-    stores it; only "... compressed rgb8" in ``format`` makes it rgb8. 16 bit is scaled to 8 as in
-    :func:`decode_image`. Pixels are new memory, read-only.
+    One channel is mono8 (bgr8 if ``format`` names a Bayer mosaic), color is bgr8, as image_transport stores it, or rgb8
+    if ``format`` has "... compressed rgb8". 16 bit is scaled to 8 as in :func:`decode_image`. Pixels are a read-only
+    copy.
 
     Raises:
-        MessageError: compressedDepth, or data that is empty, truncated, damaged or of another kind.
+        MessageError: compressedDepth, or data that is empty, truncated, damaged or of another format.
     """
     subject = _subject(topic)
     if "compressedDepth" in msg.format:
         raise MessageError(
-            f"{subject}format = {msg.format!r} is a depth image, jpeg or png of a camera is read: "
-            "take the topic that ends in /compressed"
+            f"format = {msg.format!r} is a depth image, jpeg or png of a camera is expected",
+            subject=subject,
+            value=msg.format,
+            limit=("jpeg", "png"),
+            remedy="use the topic that ends in /compressed",
         )
     stored = imdecode(msg.data)
     if stored is None:
         raise MessageError(
-            f"{subject}data of {memoryview(msg.data).nbytes} bytes with format {msg.format!r} is no whole jpeg or png "
-            "of 8 or 16 bit: check the publisher's format, and the recording"
+            f"data of {memoryview(msg.data).nbytes} bytes with format {msg.format!r} is not a complete jpeg or png of "
+            "8 or 16 bit",
+            subject=subject,
+            value=msg.format,
+            limit=("jpeg", "png"),
+            remedy="check the format of the publisher, and the recording",
         )
     pixels = to_8_bit(stored)
     if pixels.ndim == 2:
@@ -122,13 +149,13 @@ def decode_compressed(msg: Any, *, topic: str = "") -> Frame:
 
 
 def _frame(header: Any, pixels: U8, encoding: str) -> Frame:
-    # Views on a message must not be written to; read-only everywhere makes that the same live and offline.
+    # Views on a message must not be written to, live or offline.
     pixels.setflags(write=False)
     return Frame(pixels, stamp_of(header), header.frame_id, encoding)
 
 
 def _subject(topic: str) -> str:
-    return f"image of {topic}: " if topic else "image: "
+    return f"image of {topic}" if topic else "image"
 
 
 def image_message(
@@ -147,7 +174,7 @@ def image_message(
         encoding: one of these five.
         stamp_ns: header stamp, integer nanoseconds.
         frame_id: header frame.
-        payload: a ``types.payload(pixels.nbytes)`` to reuse; nothing is copied when ``pixels`` already lies in it.
+        payload: a ``types.payload(pixels.nbytes)`` to reuse; not copied if ``pixels`` is a view of it.
 
     Raises:
         MessageError: another encoding, or a payload of another size.
@@ -157,8 +184,10 @@ def image_message(
     data, view = payload or types.payload(pixels.nbytes)
     if view.nbytes != pixels.nbytes:
         raise MessageError(
-            f"payload has {view.nbytes} bytes, {encoding} pixels {pixels.shape} take {pixels.nbytes}: "
-            f"make it with types.payload({pixels.nbytes})"
+            f"payload has {view.nbytes} bytes, {encoding} pixels {pixels.shape} take {pixels.nbytes}",
+            value=view.nbytes,
+            limit=pixels.nbytes,
+            remedy=f"allocate it by types.payload({pixels.nbytes})",
         )
     stored = view.view(dtype).reshape(pixels.shape)
     if not _same_memory(stored, pixels):
@@ -188,7 +217,7 @@ def compressed_message(
     frame_id: str,
     quality: int = 90,
 ) -> Any:
-    """A sensor_msgs/CompressedImage as image_transport makes it (color is stored as bgr8).
+    """A sensor_msgs/CompressedImage in the format of image_transport (color is stored as bgr8).
 
     Args:
         types: the family of messages.
@@ -197,7 +226,7 @@ def compressed_message(
         format: codec.
         stamp_ns: header stamp, integer nanoseconds.
         frame_id: header frame.
-        quality: of jpeg, 0..100; png loses nothing.
+        quality: of jpeg, 0..100; png is lossless.
 
     Raises:
         MessageError: another encoding or codec.
@@ -205,11 +234,27 @@ def compressed_message(
         ConfigError: quality out of range.
     """
     if payload_dtype(pixels, encoding) != np.uint8:
-        raise MessageError(f"encoding = {encoding!r} is not compressed: take one of mono8, rgb8, bgr8")
+        raise MessageError(
+            f"encoding = {encoding!r} is not supported for compression",
+            value=encoding,
+            limit=("mono8", "rgb8", "bgr8"),
+            remedy="use one of mono8, rgb8, bgr8",
+        )
     if format not in ("jpeg", "png"):
-        raise MessageError(f"format = {format!r} is not written: take one of jpeg, png")
+        raise MessageError(
+            f"format = {format!r} is not supported for writing",
+            value=format,
+            limit=("jpeg", "png"),
+            remedy="use one of jpeg, png",
+        )
     if not 0 <= quality <= 100:
-        raise ConfigError(f"quality = {quality} is outside 0..100: set it inside that range")
+        raise ConfigError(
+            f"quality = {quality} is outside 0..100",
+            value=quality,
+            limit=(0, 100),
+            remedy="set it inside that range",
+            settings=("quality",),
+        )
     stored = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if encoding == "rgb8" else pixels
     parameters = [cv2.IMWRITE_JPEG_QUALITY, quality] if format == "jpeg" else []
     _, encoded = cv2.imencode(f".{format}", stored, parameters)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Message payloads that are reused from frame to frame."""
+"""Message payloads reused from frame to frame."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["PayloadPool"]
 
 
 class PayloadPool:
-    """Message payloads that are used again for every frame: a message is good until the next of its kind is made."""
+    """Reused message payloads: a message is valid until the next of its kind is built."""
 
     def __init__(self, types: MessageTypes) -> None:
         self._types = types
         self._payloads: dict[tuple[str, int], tuple[Any, U8]] = {}
 
     def get(self, kind: str, nbytes: int) -> tuple[Any, U8]:
-        """The payload of that kind and size, zeroed when it is first made."""
+        """The payload of this kind and size, zeroed when first allocated."""
         key = (kind, nbytes)
         if key not in self._payloads:
             self._payloads = {k: v for k, v in self._payloads.items() if k[0] != kind}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""sensor_msgs/PointCloud2, organized from disparities or sparse from points."""
+"""PointCloud2 messages, organized from disparities or sparse from points."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def cloud_message(
         types: the message classes.
         disparity_px: float32 (H, W), NaN where invalid.
         triangulation: the geometry of the rig.
-        layout: the bytes of a point.
+        layout: memory layout of a point.
         stamp_ns, frame_id: header, that of the left image.
-        color, color_encoding: the left rectified image, where the layout has a color.
-        payload: a reused ``types.payload(H * W * point_step)``, zeroed when made, or None for a new one.
+        color, color_encoding: the left rectified image, if the layout has a color.
+        payload: a reused ``types.payload(H * W * point_step)``, initially zeroed, or None for a new one.
 
     Raises:
         ImageError: see :func:`pack_points`.
@@ -59,8 +59,8 @@ def sparse_cloud_message(
     Args:
         types: the message classes.
         points_m: float64 (N, 3), meters.
-        rgb: uint8 (N, 3), their colors, where the layout has a color.
-        layout: the bytes of a point.
+        rgb: uint8 (N, 3), their colors, if the layout has a color.
+        layout: memory layout of a point.
         stamp_ns, frame_id: header, that of the left image.
     """
     data, view = types.payload(len(points_m) * layout.point_step)

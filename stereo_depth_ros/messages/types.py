@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The factory every message is built through, so that live and offline messages have the same bytes."""
+"""Protocol of the message classes, so that live and offline messages are built by the same code."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ NS_PER_S = 10**9
 
 
 class MessageTypes(Protocol):
-    """One family of message classes and its way to fill arrays.
+    """Message classes of rclpy or rosbags.
 
-    Each attribute is the class of that name, or a function that makes one. Messages are made with a keyword argument
-    for every field, which rclpy's classes and rosbags' dataclasses both take. Both take fixed-size arrays (``k``,
-    ``r``, ``p`` of CameraInfo) as flat float64 ndarrays; sequences differ and come from the two methods.
+    Each attribute is the class of that name, or a factory function. Messages are created with a keyword argument for
+    every field, and fixed-size arrays (``k``, ``r``, ``p`` of CameraInfo) as flat float64 ndarrays, in both families.
+    Sequences differ and are created by the two methods.
     """
 
     Time: Any
@@ -39,11 +39,11 @@ class MessageTypes(Protocol):
 
 
 def make_header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:
-    """A std_msgs/Header of the time ``stamp_ns``, integer nanoseconds."""
+    """A std_msgs/Header with the stamp ``stamp_ns``, integer nanoseconds."""
     sec, nanosec = divmod(stamp_ns, NS_PER_S)
     return types.Header(stamp=types.Time(sec=sec, nanosec=nanosec), frame_id=frame_id)
 
 
 def stamp_ns(header: Any) -> int:
-    """The time of a header of any message family, integer nanoseconds."""
+    """The stamp of a header of either family, integer nanoseconds."""
     return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)

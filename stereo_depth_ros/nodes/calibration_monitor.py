@@ -52,7 +52,7 @@ class CalibrationMonitor(StereoNode):
     """
 
     def __init__(self) -> None:
-        super().__init__("health_node", CalibrationMonitorConfig)
+        super().__init__("calibration_monitor", CalibrationMonitorConfig)
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._config = self.parameters.get(CalibrationMonitorConfig)
         self._calibration = CalibrationInput(self)

@@ -17,15 +17,16 @@ from sensor_msgs.msg import Image
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
-from stereo_depth_ros.calibration.boards import create_board, parse_board_size
-from stereo_depth_ros.calibration.calibration_files import save_calibration
+from stereo_depth_ros.calibration.board_options import create_board, parse_board_size
+from stereo_depth_ros.calibration.calibration_files import calibration_files, save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.live_calibration import LiveCalibration, Look
 from stereo_depth_ros.config import CalibrationConfig
 from stereo_depth_ros.core.camera import CameraModel
-from stereo_depth_ros.core.errors import CalibrationError, StereoDepthError
+from stereo_depth_ros.core.errors import CalibrationError, OutputError, StereoDepthError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.types import U8, Frame
+from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.types import stamp_ns
@@ -161,9 +162,15 @@ class CalibrationNode(StereoNode):
         return f"{_in_words(result)}{dropped}{better}"
 
     def _save(self) -> str:
-        result, folder = self._result(), Path(self.parameters.get(CalibrationConfig).calibration_folder).expanduser()
-        save_calibration(result, folder)
-        save_png(folder / "coverage.png", coverage_plot(result))
+        result, config = self._result(), self.parameters.get(CalibrationConfig)
+        folder, overwrite = Path(config.calibration_folder).expanduser(), config.overwrite
+        image = folder / "coverage.png"
+        try:
+            check_outputs([*calibration_files(folder), image], overwrite=overwrite)
+        except OutputError as error:
+            raise OutputError(f"{error} (parameters calibration_folder, overwrite)") from error
+        save_calibration(result, folder, overwrite=overwrite)
+        save_png(image, coverage_plot(result), overwrite=overwrite)
         return f"left.yaml, right.yaml, calibration.json, .txt and coverage.png written to {folder.resolve()}"
 
     def _commit(self) -> str:

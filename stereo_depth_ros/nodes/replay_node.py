@@ -16,8 +16,10 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 
 from stereo_depth_ros.bags.pairs import BagPairs
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
-from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.errors import BagError, GraphError, StereoDepthError
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
 from stereo_depth_ros.nodes.replay.player import Player
@@ -27,7 +29,7 @@ from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.options import ReplayOptions
 
-__all__ = ["main", "play", "replay"]
+__all__ = ["check_recording", "main", "play", "replay"]
 
 _DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes tell their timings once a second
 
@@ -51,7 +53,8 @@ def replay(
         config: parameters of the nodes, for the pairing of the bag's images and for the record beside the outputs.
 
     Raises:
-        BagError, TopicError: nothing to play, or the recording cannot be written.
+        BagError, TopicError: nothing to play.
+        OutputError: the output exists and is not to be overwritten, or it is read, or it cannot be written.
         GraphError: nobody subscribes an input or publishes an output, or nothing comes out.
     """
     prepare_process()
@@ -67,6 +70,17 @@ def replay(
         rclpy.try_shutdown(context=context)
 
 
+def check_recording(options: ReplayOptions) -> None:
+    """Refuse an output that must not or cannot be written, before anything is played.
+
+    Raises:
+        BagError: its name does not end in .mcap.
+        OutputError: it exists and is not to be overwritten, or it is read, or it cannot be written.
+    """
+    if options.output_path is not None:
+        check_bag_output(options.output_path, bag_files(options.selection.path), overwrite=options.overwrite)
+
+
 def play(
     node: Node,
     options: ReplayOptions,
@@ -75,8 +89,9 @@ def play(
     check: Callable[[], None] = _nothing,
 ) -> RunReport:
     """As :func:`replay`, with a node that is there already."""
+    check_recording(options)
     with BagPairs(options.selection, config.pairing) as pairs:
-        with Recorder(options.output_path) as recorder:
+        with Recorder(options.output_path, overwrite=options.overwrite) as recorder:
             recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
             ports = GraphPorts(node, recorder, pairs.topics.compressed, options.clock)
             player = Player(ports, pairs, options, config.pairing.approximate_sync, check)
@@ -86,6 +101,7 @@ def play(
                 intruders = "; ".join(ports.intruders())  # one that came, or was discovered, while the bag played
             finally:
                 ports.close()
+            _check_played(options, player, ports.errors_reported())
         result = RunReport(
             bag=options.selection.path,
             output=options.output_path,
@@ -102,6 +118,14 @@ def play(
         return result
     topic = node.resolve_topic_name("disparity")
     return dataclasses.replace(result, score=score_disparity(options.output_path, options.selection.path, topic))
+
+
+def _check_played(options: ReplayOptions, player: Player, errors_reported: str) -> None:
+    """Refuse to keep a recording without outputs."""
+    if not player.sent:
+        raise BagError(f"{options.bag} has no pair from {options.start_seconds:g} s on: begin earlier, or read more")
+    if options.output_path is not None and not any(stats.received for stats in player.stats.values()):
+        raise GraphError(f"no output for all {player.sent} pairs: {errors_reported or 'the nodes complain of nothing'}")
 
 
 def main() -> int:

@@ -12,10 +12,11 @@ from typing import Any
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
+from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.topics import INFO_TYPE
-from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig
-from stereo_depth_ros.core.errors import BagError, StereoDepthError
+from stereo_depth_ros.core.errors import BagError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.messages.cdr import stamp_text, without_stamp
@@ -32,6 +33,8 @@ def process_bag(
     output: Path,
     config: PipelineConfig,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    overwrite: bool = False,
 ) -> RunReport:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
@@ -39,23 +42,28 @@ def process_bag(
 
     Args:
         selection: bag, topics and part of it.
-        output: the bag to write; replaced when it exists.
+        output: the bag to write.
         config: parameters of all stages.
         progress: called with the pairs done and an upper bound of all pairs.
+        overwrite: replace an existing output.
 
     Raises:
-        BagError, TopicError: no readable stereo bag, no writable output, or no pair that can be processed.
+        BagError, TopicError: no readable stereo bag, or no pair that can be processed.
+        OutputError: an existing output without ``overwrite``, an output that is read, or it cannot be written.
         ConfigError: parameters that contradict each other.
     """
+    check_bag_output(output, bag_files(selection.path), overwrite=overwrite)
     refused: dict[str, str] = {}
     stages_ms: dict[str, list[float]] = defaultdict(list)
     engine = _Engine(config)
     with BagPairs(selection, config.pairing) as pairs:
-        with BagWriter(output, compression="lz4", overwrite=True) as writer:
+        with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
             start, sent, skipped = time.perf_counter(), 0, 0
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
                     timings_ms = engine.process(pair, pairs.topics.image_type, writer)
+                except OutputError:
+                    raise
                 except StereoDepthError as error:
                     skipped += 1
                     refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} skipped: {error}")

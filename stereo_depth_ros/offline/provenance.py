@@ -5,18 +5,18 @@
 from __future__ import annotations
 
 import dataclasses
-from importlib import metadata
 from typing import Any
 
 from stereo_depth_ros.config import PipelineConfig, parameter_infos
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.version import __version__
 
-__all__ = ["package_version", "provenance"]
+__all__ = ["provenance"]
 
 
 def provenance(config: PipelineConfig, rig: StereoRig | None = None, **values: Any) -> dict[str, str]:
-    """Version, every parameter by its ROS name, the rectified geometry of the rig, and ``values``, all as text."""
-    record = {"version": package_version(), **{name: str(value) for name, value in values.items()}}
+    """Version, every parameter by its public name, the rectified geometry of the rig, and ``values``, all as text."""
+    record = {"version": __version__, **{name: str(value) for name, value in values.items()}}
     for stage in dataclasses.fields(config):
         stage_config = getattr(config, stage.name)
         for info in parameter_infos(stage_config):
@@ -25,11 +25,3 @@ def provenance(config: PipelineConfig, rig: StereoRig | None = None, **values: A
         for name in ("f_px", "fy_px", "cx_left", "cx_right", "cy", "baseline_m"):
             record[f"rig.{name}"] = repr(getattr(rig, name))
     return record
-
-
-def package_version() -> str:
-    """Version of the installed package; "unknown" where it is not installed."""
-    try:
-        return metadata.version("stereo_depth_ros")
-    except metadata.PackageNotFoundError:
-        return "unknown"

@@ -24,15 +24,15 @@ __all__ = ["save_bag_preview"]
 _LEFT, _DISPARITY = "/left/image_rect_color", "/disparity"
 
 
-def save_bag_preview(bag: Path, image: Path, title: str = "") -> None:
+def save_bag_preview(bag: Path, image: Path, title: str = "", *, overwrite: bool = False) -> None:
     """Write the preview of the first pair of a bag of outputs as a PNG.
 
     Raises:
         BagError: the bag lacks a rectified left image with a disparity of the same stamp.
-        ImageError: the image cannot be written.
+        OutputError: the image is there and ``overwrite`` is false, or it cannot be written.
     """
     left, depth_m = _first_pair(bag)
-    save_preview(image, left, depth_m, title)
+    save_preview(image, left, depth_m, title, overwrite=overwrite)
 
 
 def _first_pair(bag: Path) -> tuple[U8, F32]:

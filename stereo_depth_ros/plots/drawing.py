@@ -13,6 +13,7 @@ import numpy as np
 
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.files.output import write_file
 
 __all__ = ["BACKGROUND", "FAINT", "TEXT", "Color", "canvas", "draw_text", "enlarged", "round_ticks", "save_png"]
 
@@ -51,17 +52,19 @@ def round_ticks(low: float, high: float, most: int) -> list[float]:
     return [round(step * k, 10) for k in range(first, last + 1)]
 
 
-def save_png(path: Path, image: U8) -> None:
-    """Write a PNG and the folders it lies in.
+def save_png(path: Path, image: U8, *, overwrite: bool = False) -> None:
+    """Write a PNG and make the folders it lies in.
+
+    Args:
+        path: the file.
+        image: uint8 (H, W) gray or (H, W, 3) BGR.
+        overwrite: replace a file that is there.
 
     Raises:
-        ImageError: the file cannot be written.
+        ImageError: an image that PNG cannot hold.
+        OutputError: the file is there and ``overwrite`` is false, or it cannot be written.
     """
     done, encoded = cv2.imencode(".png", image)
     if not done:
         raise ImageError(f"cannot encode {path} as PNG: check the size of the images")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(encoded.tobytes())
-    except OSError as error:
-        raise ImageError(f"cannot write {path}: {error.strerror}: take a folder that can be written") from error
+    write_file(path, encoded.tobytes(), overwrite=overwrite, make_folders=True)

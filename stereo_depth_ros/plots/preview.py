@@ -12,6 +12,7 @@ import numpy as np
 
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F32, U8
+from stereo_depth_ros.plots.drawing import save_png
 
 __all__ = ["color_depth", "legend_ticks", "preview", "save_preview"]
 
@@ -52,20 +53,14 @@ def preview(left: U8, depth_m: F32, title: str = "") -> U8:
     return _compose(panels, captions, title, near_m, far_m)
 
 
-def save_preview(path: Path, left: U8, depth_m: F32, title: str = "") -> None:
+def save_preview(path: Path, left: U8, depth_m: F32, title: str = "", *, overwrite: bool = False) -> None:
     """Write :func:`preview` as a PNG.
 
     Raises:
-        ImageError: the sizes differ, or the file cannot be written.
+        ImageError: the sizes differ.
+        OutputError: the file is there and ``overwrite`` is false, or it cannot be written.
     """
-    done, encoded = cv2.imencode(".png", preview(left, depth_m, title))
-    if not done:
-        raise ImageError(f"cannot encode {path} as PNG: check the size of the images")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(encoded.tobytes())
-    except OSError as error:
-        raise ImageError(f"cannot write {path}: {error.strerror}: take a folder that can be written") from error
+    save_png(path, preview(left, depth_m, title), overwrite=overwrite)
 
 
 def color_depth(depth_m: F32, near_m: float, far_m: float) -> U8:

@@ -29,6 +29,7 @@ class ReplayOptions:
 
     bag: str = _option("", "Bag to play: .mcap, .db3, a rosbag2 folder.")
     output: str = _option("", "MCAP bag to record the outputs into; empty records nothing.")
+    overwrite: bool = _option(False, "Replace the output where it exists.")
     rate: float = _option(
         0.0,
         "Rate relative to that of the bag; 0 is the maximum rate of the graph (with realtime: 1).",

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The stages of the pipeline, one file each."""
+"""Stages of the pipeline, one module each."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Triangulation of a rectified pair: disparity to depth, its uncertainty, and 16-bit millimeters."""
+"""Disparity to depth, its uncertainty, and 16-bit millimeters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["depth_from_disparity", "depth_sigma", "millimeters", "reject_behind"
 
 
 def reject_behind(disparity_px: F32, reasons: U8, doffs_px: float) -> None:
-    """Take out, in place, what would not lie in front of the cameras: d <= doffs; the reason is RANGE.
+    """Reject, in place, pixels that are not in front of the cameras (d <= doffs), with the reason RANGE.
 
     Args:
         disparity_px: float32 (H, W), NaN where invalid.

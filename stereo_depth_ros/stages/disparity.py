@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The disparity stage: the configured matcher, then what no camera could have seen is taken out."""
+"""Disparity stage: the configured matcher, and rejection of impossible disparities and unseen pixels."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class DisparityStage:
 
     Args:
         config: the matcher and its parameters.
-        rectifier: of the rig; it says where a rectified image has pixels. With a rig that does not say where infinity
-            is, all disparities searched may be those of points in front.
+        rectifier: of the rig; it has the valid pixels of the rectified images. With an uncalibrated rig all searched
+            disparities are in front of the cameras.
 
     Raises:
         ConfigError: the parameters contradict each other.
@@ -42,18 +42,17 @@ class DisparityStage:
         compile_kernels()
 
     def match(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None = None) -> MatchResult:
-        """Disparities of a rectified pair, NaN with a reason where there is none.
+        """Disparities of a rectified pair, NaN with a reason if invalid.
 
-        Rejected are RANGE, what does not lie in front of the cameras, and BORDER, where the support of the matcher
-        leaves what the raw left or right camera saw. What is rejected has no confidence, see :class:`MatchResult`.
+        Rejected are pixels not in front of the cameras (RANGE), and those where the support of the matcher leaves the
+        valid pixels of the left or right image (BORDER). They have confidence 0, see :class:`MatchResult`.
 
         Args:
             left, right: uint8 (H, W).
-            exchange: rectifies the raw images the other way round, where they are known; see
-                :class:`CameraSwapDetector`.
+            exchange: rectifies the raw images in the other order, see :class:`CameraSwapDetector`.
 
         Raises:
-            ImageError: sizes that differ, images too small for the search, or cameras that are swapped.
+            ImageError: different sizes, images too small for the search range, or swapped cameras.
         """
         if self._swap_detector is not None:
             self._swap_detector.check(left, right, exchange)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The feature stage: matched features of a rectified pair, less what no camera could have seen."""
+"""Feature stage: matched features of a rectified pair, without impossible ones and unseen pixels."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ __all__ = ["FeatureStage"]
 
 
 class FeatureStage:
-    """Rectified pair to matched features of one rig; the sparse counterpart of DisparityStage, for threads as well.
+    """Rectified pair to matched features of one rig, for any number of threads; the sparse DisparityStage.
 
     Args:
-        config: the features and the search.
-        rectifier: of the rig; it says where a rectified image has pixels.
+        config: the features and the search range.
+        rectifier: of the rig; it has the valid pixels of the rectified images.
 
     Raises:
         ConfigError: the parameters contradict each other.
@@ -28,17 +28,17 @@ class FeatureStage:
         self._matcher = FeatureMatcher(config)
         self._doffs_px = rectifier.rig.doffs_px
         self._swap_detector = CameraSwapDetector(self._doffs_px)
-        # The edge of what the raw cameras saw is a line in both images, but nothing in the world.
+        # The border of the valid pixels is an edge in both images, but not in the scene.
         self._left_seen, self._right_seen = rectifier.seen(self._matcher.support_px)
 
     def find(self, left: U8, right: U8) -> FeatureMatches:
-        """What both raw cameras saw, in front of them.
+        """Matches of valid pixels of both images, in front of the cameras.
 
         Args:
             left, right: uint8 (H, W), rectified.
 
         Raises:
-            ImageError: sizes that differ, images too small for the search, or cameras that are swapped.
+            ImageError: different sizes, images too small for the search range, or swapped cameras.
         """
         self._swap_detector.check(left, right)
         matches = self._matcher.find(left, right).inside(self._left_seen, self._right_seen)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Organized point clouds: from disparities straight into the bytes of a PointCloud2."""
+"""Organized point clouds: from disparities directly to the payload of a PointCloud2."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _WORDS = "float32[:, :, ::1]"
 
 @dataclass(frozen=True)
 class CloudLayout:
-    """Where a point's numbers stand; x, y, z are float32 at bytes 0, 4 and 8, meters, NaN where invalid.
+    """Memory layout of a point; x, y, z are float32 at bytes 0, 4 and 8, meters, NaN where invalid.
 
     Attributes:
-        point_step: bytes a point.
-        rgb_offset: byte at which the packed color stands (as float32, bytes blue, green, red, 0), or None.
+        point_step: bytes per point.
+        rgb_offset: byte offset of the packed color (as float32, bytes blue, green, red, 0), or None.
     """
 
     point_step: int
@@ -53,19 +53,22 @@ def pack_points(
     Args:
         disparity_px: float32 (H, W), NaN where invalid.
         triangulation: the geometry of the rig.
-        layout: the bytes of a point.
-        points: uint8 (H * W * point_step,), the payload; padding bytes are left as they are.
-        color: uint8 (H, W) or (H, W, 3), the left rectified image; needed where the layout has a color.
+        layout: memory layout of a point.
+        points: uint8 (H * W * point_step,), the payload; padding bytes are unchanged.
+        color: uint8 (H, W) or (H, W, 3), the left rectified image; required if the layout has a color.
         color_encoding: "mono8", "rgb8" or "bgr8".
 
     Raises:
-        ImageError: the image has another size than the disparities, or the payload another length.
+        ImageError: image and disparities differ in size, or the payload has another length.
     """
     height, width = disparity_px.shape
     if points.nbytes != height * width * layout.point_step:
         raise ImageError(
             f"payload of {points.nbytes} bytes, {width}x{height} points of {layout.point_step} take "
-            f"{height * width * layout.point_step}: allocate that many"
+            f"{height * width * layout.point_step}",
+            value=points.nbytes,
+            limit=height * width * layout.point_step,
+            remedy="allocate that many",
         )
     t = triangulation
     geometry = (
@@ -81,8 +84,11 @@ def pack_points(
     if color is None or color.shape[:2] != (height, width):
         shape = None if color is None else color.shape[:2]
         raise ImageError(
-            f"left image of {shape}, the disparities have {(height, width)} (rows, columns): "
-            "send the left image that the disparities were made from, or set use_color to false"
+            f"left image of {shape}, the disparities have {(height, width)} (rows, columns)",
+            value=shape,
+            limit=(height, width),
+            remedy="pass the left image of the disparities, or set use_color to false",
+            settings=("use_color",),
         )
     colors = color.reshape(height, width, -1)
     channels = {"mono8": (0, 0, 0), "rgb8": (0, 1, 2), "bgr8": (2, 1, 0)}[color_encoding]

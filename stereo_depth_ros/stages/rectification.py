@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rectification: raw left and right images to images of one rectified pair, whose rows agree."""
+"""Rectification of raw left and right images to a rectified pair."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ __all__ = ["Rectifier"]
 class Rectifier:
     """Undistorts and rotates both images into the rectified cameras of a rig, by linear interpolation.
 
-    The maps are built once, in 1/32 px steps. Pixels without a source are 0; :attr:`left_source` and
-    :attr:`right_source` tell where those are. Images of a camera that needs no rectification pass through uncopied.
+    The maps are built once, in 1/32 px steps. Pixels without a source are 0, see :attr:`left_source` and
+    :attr:`right_source`. Images of a camera that is already rectified are passed through without a copy.
 
     Args:
         rig: raw cameras (K, D) and rectified ones (R, P).
@@ -35,9 +35,9 @@ class Rectifier:
         self._right_maps = _build_maps(rig.right)
 
     def rectify(self, pair: StereoPair) -> RectifiedPair:
-        """Both cameras in gray, and the left one in its own colors.
+        """Both images in gray, and the left one in color.
 
-        Gray is taken before rectification: each gray image has the bytes that a rectifier of gray images gives.
+        Conversion to gray precedes rectification, so the gray images equal those of a rectifier of gray input.
 
         Args:
             pair: raw images of the size of the rig.
@@ -57,7 +57,7 @@ class Rectifier:
 
         Args:
             pixels: uint8 (H, W) or (H, W, C), raw.
-            out: same shape, written where the image needs rectification; not ``pixels`` itself.
+            out: same shape, written if the image needs rectification; not ``pixels`` itself.
 
         Raises:
             CalibrationError: the image has another size than the rig.
@@ -70,22 +70,22 @@ class Rectifier:
 
     @cached_property
     def left_source(self) -> npt.NDArray[np.bool_]:
-        """bool (H, W), true where the rectified left pixel is made of raw pixels only."""
+        """bool (H, W), true where the rectified left pixel is interpolated from raw pixels only."""
         return np.equal(self.rectify_left(self._white()), 255)
 
     @cached_property
     def right_source(self) -> npt.NDArray[np.bool_]:
-        """bool (H, W), true where the rectified right pixel is made of raw pixels only."""
+        """bool (H, W), true where the rectified right pixel is interpolated from raw pixels only."""
         return np.equal(self.rectify_right(self._white()), 255)
 
     def seen(self, support_px: tuple[int, int]) -> tuple[U8, U8]:
-        """Where a method sees raw pixels only: the sources less half the support of its matching cost.
+        """Valid pixels of a method: the source masks eroded by the support of its matching cost.
 
         Args:
             support_px: width and height, odd.
 
         Returns:
-            uint8 (H, W), of the left and of the right rectified image: 1 where the whole support has a source.
+            uint8 (H, W) for the left and the right rectified image: 1 where the whole support has a source.
         """
         support = np.ones((support_px[1], support_px[0]), np.uint8)
         sources = (self.left_source.astype(np.uint8), self.right_source.astype(np.uint8))
@@ -105,7 +105,7 @@ class Rectifier:
 
 
 def _build_maps(camera: CameraModel) -> tuple[Any, Any] | None:
-    """Fixed-point maps from rectified to raw pixels; None where both are the same."""
+    """Fixed-point maps from rectified to raw pixels; None if both are the same."""
     K_rectified = camera.P[:, :3]
     size = (camera.width, camera.height)
     if camera.distortion_model == "equidistant":

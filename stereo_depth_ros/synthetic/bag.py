@@ -34,7 +34,8 @@ def write_synthetic_bag(path: Path, sequence: SyntheticSequence, *, overwrite: b
         overwrite: replace an existing file.
 
     Raises:
-        BagError: wrong suffix, an existing file without ``overwrite``, or it cannot be created.
+        BagError: wrong suffix.
+        OutputError: an existing file without ``overwrite``, or it cannot be written.
     """
     types = RosbagsTypes()
     with BagWriter(path, overwrite=overwrite) as bag:

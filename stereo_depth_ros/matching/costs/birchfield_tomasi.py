@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dissimilarity of single pixels, for every disparity searched."""
+"""Sampling-insensitive pixel dissimilarity of Birchfield and Tomasi."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ __all__ = ["COST_STEPS", "OUTSIDE", "U16", "birchfield_tomasi"]
 
 U16: TypeAlias = npt.NDArray[np.uint16]
 
-COST_STEPS = 2  # costs count half gray levels: what lies midway between two pixels is then a whole number
+COST_STEPS = 2  # costs are in half gray levels, so that midpoints between pixels are integers
 OUTSIDE = np.uint16(65535)
 
 
 def birchfield_tomasi(left: U8, right: U8, min_disparity: int, num_disparities: int) -> U16:
-    """Dissimilarity that does not depend on how the images were sampled (Birchfield and Tomasi 1998).
+    """Dissimilarity that is insensitive to image sampling (Birchfield and Tomasi 1998).
 
-    A pixel of one image is compared with the interval of values that linear interpolation gives within half a pixel of
-    its partner, and the other way round; the smaller of the two distances counts. Beyond the
-    left and the right edge of an image its outermost pixel is repeated.
+    A pixel of one image is compared with the range of linearly interpolated values within half a pixel of its partner,
+    and vice versa; the smaller of the two distances is the cost. Image rows are extended by their outermost pixels.
 
     Args:
         left, right: uint8 (H, W), gray, rectified.
@@ -46,7 +45,7 @@ def birchfield_tomasi(left: U8, right: U8, min_disparity: int, num_disparities: 
 
 @compiled()
 def _interval(image: U8, y: int, low: U16, here: U16, high: U16) -> None:
-    """Least and largest value within half a pixel of each pixel of a row, and its own, in half gray levels."""
+    """Minimum and maximum within half a pixel of each pixel of a row, and its value, in half gray levels."""
     width = image.shape[1]
     for x in range(width):
         value = np.uint16(image[y, x])

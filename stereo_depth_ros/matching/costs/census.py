@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Census transform, and the Hamming distances that it gives as matching costs."""
+"""Census transform, and its Hamming distances as matching costs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ U64: TypeAlias = npt.NDArray[np.uint64]
 RADIUS_X, RADIUS_Y = 4, 3
 CENSUS_WINDOW = (2 * RADIUS_X + 1, 2 * RADIUS_Y + 1)  # width, height
 CENSUS_BITS = CENSUS_WINDOW[0] * CENSUS_WINDOW[1] - 1
-NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # what unrelated pixels cost on average
+NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # average cost of unrelated pixels
 
 _ONE, _EIGHT = np.uint8(1), np.uint64(8)
 _ONE_16 = np.uint16(1)
@@ -31,7 +31,7 @@ _ONE_16 = np.uint16(1)
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _popcount(_: Any, value: Any) -> Any:
-    """Number of bits that are set; LLVM makes vectors of it."""
+    """Number of set bits; LLVM vectorizes it."""
 
     def generate(_context: Any, builder: ir.IRBuilder, _signature: Any, arguments: list[ir.Value]) -> ir.Value:
         return builder.ctpop(arguments[0])
@@ -53,10 +53,10 @@ def _add_byte(part: U8, codes: U64) -> None:
 
 @compiled(numba.void(numba.int64, numba.int64, READ_ONLY_U8, numba.uint64[:, ::1]))
 def census_rows(first: int, last: int, image: U8, codes: U64) -> None:
-    """Census transform with a window of 9 x 7: a bit says whether a neighbor is darker than the center.
+    """Census transform with a window of 9 x 7: a bit is set if the neighbor is darker than the center.
 
-    Zabih and Woodfill, "Non-parametric local transforms for computing visual correspondence", ECCV 1994. Neighbors
-    outside the image are the nearest pixels inside.
+    Zabih and Woodfill, "Non-parametric local transforms for computing visual correspondence", ECCV 1994. The image
+    is extended by its border pixels.
 
     Args:
         first, last: rows to write.
@@ -80,14 +80,14 @@ def census_rows(first: int, last: int, image: U8, codes: U64) -> None:
                 if i != RADIUS_X or j != RADIUS_Y:
                     _add_bit(window[j, i : i + width], centers, part)
                     bits += 1
-                    if bits % 8 == CENSUS_BITS % 8:  # eight at a time, in bytes: eight times as many pixels at once
+                    if bits % 8 == CENSUS_BITS % 8:  # accumulated in bytes: eight times as many pixels per vector
                         _add_byte(part, codes[y])
                         part[:] = 0
 
 
 @compiled(allocates=False)
 def _mean(a: np.uint8, b: np.uint8) -> np.uint8:
-    """(a + b) / 2, rounded up: one instruction for a vector of bytes."""
+    """(a + b) / 2, rounded up: one vector instruction for bytes."""
     return np.uint8(np.uint16(np.uint16(a) + np.uint16(b) + _ONE_16) >> _ONE_16)
 
 
@@ -105,7 +105,7 @@ def _hamming(code: np.uint64, others: U64, out: U8) -> None:
 
 @compiled(allocates=False)
 def _hamming_row(left: U64, right: U64, max_disparity: int, raw: U8) -> None:
-    """Distances of one row, to ``raw[1]`` and on; the first and last pixel twice, for the smoothing."""
+    """Distances of one row, from ``raw[1]`` on; the first and last pixel are repeated for the smoothing."""
     width, count = left.size, raw.shape[1]
     for x in range(width):
         at = x - max_disparity  # right column of index 0
@@ -126,16 +126,16 @@ def _hamming_row(left: U64, right: U64, max_disparity: int, raw: U8) -> None:
 def cost_rows(left: U64, right: U64, first: int, last: int, max_disparity: int, raw: U8, smooth: U8, cost: U8) -> None:
     """Matching costs of a band of rows: Hamming distances, smoothed by (1 2 1) / 4 along x and along y.
 
-    Index k of a cost counts down from the largest disparity, so that it runs along the right image. Where the right
-    image has ended the distance stays what it was at the end, at most ``NEUTRAL_COST``: a distance of its own would
-    favor the disparities inside, and paths would carry that over all of an image without texture.
+    Index k of a cost counts down from the largest disparity, so that it increases along the right image. Outside the
+    right image the distance of the border pixel is repeated, at most ``NEUTRAL_COST``: a constant would favor the
+    disparities inside, and paths would propagate that bias over images without texture.
 
     Args:
         left, right: census of the images, uint64 (H, W).
-        first, last: rows whose costs are written, to ``cost[0]`` and on.
+        first, last: rows whose costs are written, from ``cost[0]`` on.
         max_disparity: largest disparity, px.
         raw: scratch, uint8 (W + 2, K).
-        smooth: scratch, uint8 (3, W, K), the newest rows smoothed along x.
+        smooth: scratch, uint8 (3, W, K), the latest rows smoothed along x.
         cost: uint8 (rows, W, K), at most 62.
     """
     height, width = left.shape

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Line segments: their detection, what describes them, and how similar two of them are."""
+"""Line segments: detection, description and similarity."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from stereo_depth_ros.core.types import F64, U8
 __all__ = ["LineSegments", "common_rows", "detect_segments", "line_similarity"]
 
 MIN_LENGTH_PX = 10.0
-# Along a segment that lies flatter, an error of one row becomes an error of the disparity of three columns and more.
+# On flatter segments, an error of one row causes a disparity error of three columns or more.
 MIN_SLOPE_DEG = 20.0
-# The detector works on an image of 0.8 of the size and scales back coordinates without regard to pixel centers.
+# The detector works at a scale of 0.8 and ignores pixel centers when it scales coordinates back.
 CENTER_SHIFT_PX = 0.5 / 0.8 - 0.5
-CONTRAST_OFFSET_PX = 2.0  # from the segment to where its two sides are looked at
+CONTRAST_OFFSET_PX = 2.0  # from the segment to the samples on its two sides
 CONTRAST_SAMPLES = 16
 
 # Standard deviations of the differences between the two images of one segment; the weights are their inverse squares.
-LENGTH_SIGMA_PX = 30.0  # ends are where the detector gave up: hardly informative
+LENGTH_SIGMA_PX = 30.0  # end points are unreliable
 ORIENTATION_SIGMA_RAD = np.radians(5.0)
-MIDPOINT_SIGMA_PX = 15.0  # moves by half of what an end moves
+MIDPOINT_SIGMA_PX = 15.0  # half the error of an end point
 CONTRAST_SIGMA = 15.0
 
 
 @dataclass(frozen=True, eq=False)
 class LineSegments:
-    """N segments of one image and what describes them.
+    """N segments of one image and their descriptors.
 
     Attributes:
         ends: float64 (N, 2, 2), the upper end, then the lower one, each (x, y) in px; pixel centers are whole numbers.
@@ -80,7 +80,7 @@ class LineSegments:
         return crossing
 
     def at(self, rows: npt.NDArray[np.intp]) -> F64:
-        """float64 (N, 2), the point (x, y) of each segment in a row of its own; rows (N,)."""
+        """float64 (N, 2), the point (x, y) of each segment in the given row; rows (N,)."""
         points: F64 = np.stack((self.columns(rows.astype(np.float64)), rows), axis=1)
         return points
 
@@ -92,8 +92,8 @@ class LineSegments:
 def detect_segments(image: U8) -> LineSegments:
     """Straight edges, by the detector LSD (von Gioi, Jakubowicz, Morel and Randall 2010) of OpenCV.
 
-    Segments shorter than 10 px are left out, and those less than 20 degrees from the rows: their columns say nothing
-    of the disparity.
+    Segments shorter than 10 px are skipped, and those less than 20 degrees from the rows, which do not determine the
+    disparity.
 
     Args:
         image: uint8 (H, W).
@@ -109,7 +109,7 @@ def detect_segments(image: U8) -> LineSegments:
 
 
 def common_rows(left: LineSegments, right: LineSegments) -> tuple[F64, F64]:
-    """First and last row that both of each pair of segments reach, float64 (L, R) each; last < first where none is."""
+    """First and last row common to each pair of segments, float64 (L, R) each; last < first if there is none."""
     first: F64 = np.maximum(left.ends[:, None, 0, 1], right.ends[None, :, 0, 1])
     last: F64 = np.minimum(left.ends[:, None, 1, 1], right.ends[None, :, 1, 1])
     return first, last
@@ -119,12 +119,12 @@ def line_similarity(left: LineSegments, right: LineSegments, min_disparity: floa
     """S = 1 / (w0 (l_l - l_r)^2 + w1 (theta_l - theta_r)^2 + w2 |m_l - m_r|^2 + w3 (c_l - c_r)^2).
 
     The measure of Trucco and Verri (1998), section 7.2.3, from length l, orientation theta, midpoint m and contrast c.
-    Weights are inverse variances, which makes the sum a number without unit: 4 is two standard deviations.
+    Weights are inverse variances, so the sum is dimensionless: 4 is two standard deviations.
 
     - Orientations are those of lines: they differ by at most pi / 2.
-    - Midpoints of a rectified pair differ by the disparity, which is what is sought: columns that differ by one of the
-      disparities searched are alike. What counts is by how much they lie outside those, and how far the rows differ.
-    - Contrast has a sign: an edge from dark to bright does not match one from bright to dark.
+    - Midpoints of a rectified pair differ by the disparity: columns count by their distance from the search range, rows
+      by their difference.
+    - Contrast is signed: an edge from dark to bright does not match one from bright to dark.
 
     Args:
         left, right: L and R segments.
@@ -164,7 +164,7 @@ def _contrast(image: U8, ends: F64) -> F64:
 
 
 def _mean_gray(image: U8, points: F64) -> F64:
-    """Means over axis 1 of the gray values at (N, K, 2) points, bilinear; the border goes on outside."""
+    """Means over axis 1 of the gray values at (N, K, 2) points, bilinear, with replicated border."""
     sampled = cv2.remap(image, points.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     means: F64 = sampled.mean(axis=1, dtype=np.float64)
     return means

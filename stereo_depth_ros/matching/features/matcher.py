@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sparse matching of corners and line segments."""
+"""Sparse matcher of corners and line segments."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ __all__ = ["FeatureMatcher", "FeatureMatches", "nearest_pixels"]
 Indices: TypeAlias = npt.NDArray[np.intp]
 
 MAX_ROW_DIFFERENCE_PX = 1.0
-MAX_CORNERS = 4000  # of an image, the strongest
-SIFT_SHIFT_PX = 0.25  # OpenCV tells positions of the doubled image, halved without regard to pixel centers
-FAST_THRESHOLD = 10  # with ORB's own 20, dim rooms are empty
+MAX_CORNERS = 4000  # per image, the strongest
+SIFT_SHIFT_PX = 0.25  # OpenCV halves the positions of the doubled image and ignores pixel centers
+FAST_THRESHOLD = 10  # with the default of 20, dark scenes have no corners
 REFINEMENT_WINDOW_PX = (11, 11)
 MIN_COMMON_ROWS = 3
 MIN_COMMON_SHARE = 0.5  # of the rows of the shorter of two segments
-# Above this cost two features are taken for different ones: distance of SIFT descriptors (up to 724), bits of ORB
-# descriptors (256), squared standard deviations of lines. Higher limits let in more wrong matches than right ones.
+# Largest cost of a match: distance of SIFT descriptors (up to 724), bits of ORB descriptors (256), squared standard
+# deviations of lines. Higher limits add more wrong matches than correct ones.
 MAX_COST = {"sift": 250.0, "orb": 50.0, "lines": 4.0}
-NOISE_SHARE = 0.1  # of the highest cost: two candidates that cost less are equally good
-SUPPORT_PX = (15, 15)  # about what the smallest descriptors look at
-RIVAL_PX = 2.0  # candidates with nearer disparities are one place found twice, at two scales for example
+NOISE_SHARE = 0.1  # of the largest cost: candidates below it are equally good
+SUPPORT_PX = (15, 15)  # approximate extent of the smallest descriptors
+RIVAL_PX = 2.0  # candidates closer in disparity are the same feature, for example at two scales
 PAIRS_AT_ONCE = 2**16  # of descriptors: bounds the memory
 
 
@@ -44,7 +44,7 @@ class FeatureMatches:
 
     Attributes:
         left_xy, right_xy: float64 (N, 2), px; pixel centers are whole numbers.
-        score: float64 (N,), from 0, no better than another candidate, to 1, equal and alone.
+        score: float64 (N,), from 0, no better than another candidate, to 1, identical and unique.
     """
 
     left_xy: F64
@@ -61,18 +61,18 @@ class FeatureMatches:
         return disparity
 
     def take(self, chosen: npt.NDArray[Any]) -> FeatureMatches:
-        """The matches of these indices, or of this mask."""
+        """The matches of these indices or of this mask."""
         return FeatureMatches(self.left_xy[chosen], self.right_xy[chosen], self.score[chosen])
 
     def inside(self, left_mask: U8, right_mask: U8) -> FeatureMatches:
-        """The matches whose left and right points lie where the masks of these images, uint8 (H, W), are not 0."""
+        """The matches whose left and right points are inside the masks of these images, uint8 (H, W), not 0."""
         seen = (
             left_mask[nearest_pixels(self.left_xy, left_mask)] & right_mask[nearest_pixels(self.right_xy, right_mask)]
         )
         return self.take(seen != 0)
 
     def colors(self, left: Frame) -> U8:
-        """uint8 (N, 3): red, green and blue of the left pixels in which the features lie."""
+        """uint8 (N, 3): red, green and blue of the left pixels that contain the features."""
         height, width = left.pixels.shape[:2]
         pixels = left.pixels.reshape(height, width, -1)[nearest_pixels(self.left_xy, left.pixels)]
         rgb: U8 = pixels[:, {"mono8": (0, 0, 0), "rgb8": (0, 1, 2), "bgr8": (2, 1, 0)}[left.encoding]]
@@ -84,18 +84,17 @@ class FeatureMatches:
 
 
 class FeatureMatcher(SerialMatcher):
-    """Corners, SIFT (Lowe 2004) or ORB (Rublee et al. 2011), or line segments, matched by what describes them.
+    """Corners, SIFT (Lowe 2004) or ORB (Rublee et al. 2011), or line segments, matched by their descriptors.
 
-    A left feature is compared with the right features of its row, give or take a pixel, at the disparities searched.
-    The match kept is the best one of both features, at a cost that is low enough (NO_MATCH otherwise; LEFT_RIGHT where
-    the right feature prefers another), and wins over every candidate elsewhere by ``uniqueness_ratio`` (UNIQUENESS).
-    Costs are distances of descriptors; for lines 1 / S, S being :func:`line_similarity`. The confidence is 1 minus the
-    cost over the least cost elsewhere, or over the highest cost allowed where that is less; costs of less than a tenth
-    of that are noise.
+    A left feature is compared with the right features within one row of it and within the search range. A match must be
+    the best one for both features (LEFT_RIGHT otherwise), have a cost below a limit (NO_MATCH otherwise), and be better
+    than every candidate elsewhere by ``uniqueness_ratio`` (UNIQUENESS otherwise). Costs are distances of descriptors;
+    for lines 1 / S, S being :func:`line_similarity`. The confidence is 1 minus the cost over the lowest cost elsewhere,
+    or over the largest cost allowed if that is lower; costs of less than a tenth of that are noise.
 
-    Corners have the sub-pixel positions of their detector. ORB finds them at whole pixels: the right ones are moved to
-    where the gray values agree with those around the left ones (Lucas and Kanade 1981). Lines that match have a
-    disparity in each row that both cross. Pixels without a feature are NO_MATCH.
+    Corners have the sub-pixel positions of their detector. ORB corners are at whole pixels: the right ones are refined
+    by the gray values around the left ones (Lucas and Kanade 1981). Matched lines have a disparity in each common row.
+    Pixels without a feature are NO_MATCH. ``support_px`` is the approximate extent of the smallest descriptors.
     """
 
     name = "features"
@@ -103,12 +102,12 @@ class FeatureMatcher(SerialMatcher):
     support_px = SUPPORT_PX
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the search does not fit in 16-bit disparities."""
+        """Raise ConfigError if the search range does not fit in 16-bit disparities."""
         check_search(config)
         super().__init__(config)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
-        """A feature is told at the pixel it lies in."""
+        """Features are written to the pixels that contain them."""
         check_pair(left, right, self.config)
         matches, lost_xy, why = self._find(left, right, MAX_ROW_DIFFERENCE_PX)
         reasons = np.full(left.shape, Reason.NO_MATCH, np.uint8)
@@ -116,7 +115,7 @@ class FeatureMatcher(SerialMatcher):
         columns = np.arange(left.shape[1])
         outside = (columns < self.config.min_disparity) | (columns - self.config.max_disparity > columns[-1])
         reasons[:, outside] = Reason.BORDER
-        matches = matches.take(np.argsort(matches.score, kind="stable"))  # of several in a pixel the best comes last
+        matches = matches.take(np.argsort(matches.score, kind="stable"))  # of several in one pixel the best is last
         at = nearest_pixels(matches.left_xy, left)
         confidence = np.zeros(left.shape, np.float32)
         disparity_px = np.full(left.shape, np.nan, np.float32)
@@ -124,11 +123,11 @@ class FeatureMatcher(SerialMatcher):
         return MatchResult(disparity_px, reasons, self.step_px, confidence)
 
     def find(self, left: U8, right: U8, max_row_difference_px: float = MAX_ROW_DIFFERENCE_PX) -> FeatureMatches:
-        """The matched features themselves; of lines, a point in each row.
+        """The matched features; of lines, a point in each row.
 
         Args:
-            left, right: uint8 (H, W), gray, rectified; corners are found in other pairs too.
-            max_row_difference_px: by how much the rows of two corners may differ; points of lines have equal rows.
+            left, right: uint8 (H, W), gray, rectified; corners may also be in unrectified pairs.
+            max_row_difference_px: largest row difference of two corners; points of lines have equal rows.
 
         Raises:
             ImageError: see :class:`~stereo_depth_ros.matching.protocol.Matcher`.
@@ -137,7 +136,7 @@ class FeatureMatcher(SerialMatcher):
         return self._find(left, right, max_row_difference_px)[0]
 
     def _find(self, left: U8, right: U8, max_row_difference_px: float) -> tuple[FeatureMatches, F64, U8]:
-        """The matches; points of left features that have none, float64 (N, 2); the reasons, uint8 (N,)."""
+        """The matches; points of unmatched left features, float64 (N, 2); their reasons, uint8 (N,)."""
         if self.config.feature_type == "lines":
             return self._find_lines(left, right)
         return self._find_corners(left, right, max_row_difference_px)
@@ -181,7 +180,7 @@ class FeatureMatcher(SerialMatcher):
 
 
 def nearest_pixels(xy: F64, image: npt.NDArray[Any]) -> tuple[Indices, Indices]:
-    """Rows and columns of the pixels of ``image``, (H, W) or (H, W, C), in which points, float64 (N, 2), lie."""
+    """Rows and columns of the pixels of ``image``, (H, W) or (H, W, C), that contain points, float64 (N, 2)."""
     columns, rows = np.rint(xy).astype(np.intp).T
     return rows.clip(0, image.shape[0] - 1), columns.clip(0, image.shape[1] - 1)
 
@@ -191,13 +190,13 @@ def _corners(image: U8, kind: str) -> tuple[F64, F32]:
     detector = (
         cv2.SIFT.create(MAX_CORNERS) if kind == "sift" else cv2.ORB.create(MAX_CORNERS, fastThreshold=FAST_THRESHOLD)
     )
-    corners, words = detector.detectAndCompute(image, None)
+    corners, descriptors = detector.detectAndCompute(image, None)
     if not corners:
         return np.empty((0, 2)), np.empty((0, 1), np.float32)
     xy = np.array(cv2.KeyPoint.convert(corners), np.float64)
     if kind == "orb":
-        return xy, np.unpackbits(words, axis=1).astype(np.float32)
-    return xy - SIFT_SHIFT_PX, words
+        return xy, np.unpackbits(descriptors, axis=1).astype(np.float32)
+    return xy - SIFT_SHIFT_PX, descriptors
 
 
 def _in_common_rows(left_y: F64, right_y: F64, tolerance: float) -> tuple[Indices, Indices]:
@@ -210,11 +209,11 @@ def _in_common_rows(left_y: F64, right_y: F64, tolerance: float) -> tuple[Indice
 
 
 def _squared_distances(left: F32, right: F32, i: Indices, j: Indices) -> F64:
-    """Squared Euclidean distance of the descriptors of each pair, float64 (P,); of bits: the number that differ."""
+    """Squared Euclidean distance of the descriptors of each pair, float64 (P,); of bits: the Hamming distance."""
     squared = np.empty(len(i))
     for begin in range(0, len(i), PAIRS_AT_ONCE):
         part = slice(begin, begin + PAIRS_AT_ONCE)
-        difference = left[i[part]] - right[j[part]]  # whole numbers whose squares add up without rounding
+        difference = left[i[part]] - right[j[part]]  # integers, whose squares add up without rounding
         squared[part] = np.einsum("ij,ij->i", difference, difference)
     return squared
 
@@ -222,7 +221,7 @@ def _squared_distances(left: F32, right: F32, i: Indices, j: Indices) -> F64:
 def _select(
     i: Indices, j: Indices, cost: F64, disparity_px: F64, count: int, config: MatchingConfig
 ) -> tuple[Indices, F64, U8]:
-    """Pairs that are matches and their scores, and of all ``count`` left features why not.
+    """Pairs that are matches and their scores, and the reasons of all ``count`` left features.
 
     Args:
         i, j: (P,), left and right feature of each pair.
@@ -247,13 +246,13 @@ def _select(
 
 
 def _cheapest(group: Indices, cost: F64) -> Indices:
-    """For each group in turn the index of its least cost, the first one where several are equal."""
+    """For each group the index of its lowest cost, the first one of equal costs."""
     order = np.lexsort((cost, group))
     return order[np.unique(group[order], return_index=True)[1]]
 
 
 def _refined(left: U8, right: U8, matches: FeatureMatches) -> FeatureMatches:
-    """The right points moved to where the windows around left and right points agree; fewer where some do not."""
+    """The right points refined by the windows around left and right points; without those that fail."""
     if not len(matches):
         return matches
     start, guess = matches.left_xy.astype(np.float32), matches.right_xy.astype(np.float32)
@@ -266,13 +265,13 @@ def _refined(left: U8, right: U8, matches: FeatureMatches) -> FeatureMatches:
 
 
 def _without_repetition(matches: FeatureMatches) -> FeatureMatches:
-    """The best match of each left position: SIFT tells a corner once for each of its orientations."""
+    """The best match of each left position: SIFT returns a corner once per orientation."""
     ordered = matches.take(np.argsort(-matches.score, kind="stable"))
     return ordered.take(np.unique(ordered.left_xy, axis=0, return_index=True)[1])
 
 
 def _whole_numbers(first: npt.NDArray[Any], last: npt.NDArray[Any]) -> tuple[Indices, Indices]:
-    """All whole numbers from first[k] to last[k], both included, for each k in turn; of each its k and itself."""
+    """All integers from first[k] to last[k] inclusive, for each k; returns the k and the integers."""
     begin = np.ceil(first).astype(np.intp)
     counts = np.maximum(0, np.floor(last).astype(np.intp) + 1 - begin)
     k = np.repeat(np.arange(len(counts)), counts)

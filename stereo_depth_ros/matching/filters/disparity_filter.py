@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Filters of disparities over their neighbors, which leave holes as they are: mean of those that agree, and median."""
+"""Mean and median filters of disparity maps that leave holes unchanged."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from stereo_depth_ros.core.types import F32
 __all__ = ["DisparityFilter"]
 
 MEAN_RADIUS = 2
-AGREEMENT_PX = np.float32(1)
+TOLERANCE_PX = np.float32(1)
 
 
 class DisparityFilter:
     """The filter that ``disparity_filter`` names.
 
-    mean: of the disparities of the 5 x 5 pixels around that differ by at most 1 px, its own included. Noise and the
-    pull towards whole pixels shrink; steps from 1 px on stay.
+    mean: over the disparities of 5 x 5 pixels that differ by at most 1 px from the center. It reduces noise and pixel
+    locking, and preserves steps of more than 1 px.
 
-    median: of the valid ones of 3 x 3 pixels, the lower of two middle ones.
+    median: over the valid disparities of 3 x 3 pixels, the lower one of an even number.
 
     Args:
         kind: "mean", "median" or "none".
-        step_px: what a mean is rounded to.
+        step_px: resolution to which a mean is rounded.
     """
 
     def __init__(self, kind: str, step_px: float) -> None:
@@ -35,7 +35,7 @@ class DisparityFilter:
         self._before: F32 = np.empty((0, 0), np.float32)
 
     def __call__(self, disparity_px: F32) -> None:
-        """Filters float32 (H, W), NaN where invalid, in place; NaN stays NaN and does not count."""
+        """Filter float32 (H, W), NaN where invalid, in place; NaN stays NaN and is ignored."""
         if self._kind == "none":
             return
         if self._before.shape != disparity_px.shape:
@@ -51,13 +51,13 @@ class DisparityFilter:
 
 @compiled(allocates=False)
 def _add_row(own: F32, other: F32, counts: F32, sums: F32) -> None:
-    """Adds the disparities of ``other`` that agree with those of ``own``, and counts them."""
+    """Add the disparities of ``other`` that agree with those of ``own``, and count them."""
     for x in range(own.size):
-        agrees = np.float32(abs(own[x] - other[x]) <= AGREEMENT_PX)
+        agrees = np.float32(abs(own[x] - other[x]) <= TOLERANCE_PX)
         counts[x] += agrees
     for x in range(own.size):
         difference = other[x] - own[x]
-        sums[x] += difference if abs(difference) <= AGREEMENT_PX else np.float32(0)
+        sums[x] += difference if abs(difference) <= TOLERANCE_PX else np.float32(0)
 
 
 @compiled("void(int64, int64, float32[:, ::1], float32[:, ::1], float32, float32[:, ::1])", allocates=False)
@@ -66,7 +66,7 @@ def _mean_rows(first: int, last: int, before: F32, counts: F32, steps_per_px: np
     for y in range(first, last):
         row, count, total = before[y], counts[y], after[y]
         count[:] = 0
-        total[:] = 0  # differences from the pixel's own, so that nothing of its precision is lost
+        total[:] = 0  # differences from the center, to keep the precision
         for j in range(max(y - MEAN_RADIUS, 0), min(y + MEAN_RADIUS + 1, height)):
             for i in range(-MEAN_RADIUS, MEAN_RADIUS + 1):
                 begin, end = max(0, -i), min(width, width - i)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every pixel a disparity: holes are taken to belong to the farther of the surfaces beside them."""
+"""Hole filling with the disparity of the background."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ __all__ = ["fill_holes"]
 
 
 def fill_holes(disparity_px: F32, reasons: U8) -> None:
-    """Gives every hole the lower of the nearest disparities to its left and right in the row, in place.
+    """Fill every hole with the smaller of the nearest disparities to its left and right in the row, in place.
 
-    What the right camera does not see lies behind what hides it. A row without disparities takes the nearest row that
-    has any. Where the whole map is empty, it stays so.
+    A pixel occluded in the right image lies behind the surface that occludes it. A row without disparities is copied
+    from the nearest row with any. An empty map is unchanged.
 
     Args:
         disparity_px: float32 (H, W), NaN where invalid.
@@ -37,7 +37,7 @@ def fill_holes(disparity_px: F32, reasons: U8) -> None:
 def _fill_rows(first: int, last: int, disparity_px: F32) -> None:
     width = disparity_px.shape[1]
     for y in range(first, last):
-        begin = 0  # of the pixels after the last one that is known
+        begin = 0  # of the pixels after the last valid one
         for x in range(width + 1):
             if x < width and np.isnan(disparity_px[y, x]):
                 continue

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What follows the search in every matcher: speckles out, fixed point to pixels."""
+"""Speckle filter, and conversion of fixed-point disparities to pixels."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ NAN = np.float32(np.nan)
 
 
 def disparity_from_x16(disparity_x16: I16, reasons: U8, out: F32) -> None:
-    """Writes disparities in pixels, NaN where there is a reason.
+    """Write disparities in pixels, NaN where there is a reason.
 
     Args:
-        fixed: int16 (H, W), disparity in 1/16 px; any value where ``reasons`` is not 0.
+        disparity_x16: int16 (H, W), disparity in 1/16 px; any value where ``reasons`` is not 0.
         reasons: uint8 (H, W), bits of :class:`~stereo_depth_ros.core.types.Reason`.
         out: float32 (H, W), px.
     """
@@ -41,11 +41,11 @@ def _disparity_rows(first: int, last: int, disparity_x16: I16, reasons: U8, out:
 
 
 class SpeckleFilter:
-    """Removes small components of similar disparity; the pixels removed are those of ``cv2.filterSpeckles``.
+    """Removes small components of similar disparity, the same pixels as ``cv2.filterSpeckles``.
 
-    Two neighbors (4-connected) that are both valid and differ by at most ``max_difference`` belong together;
-    components of up to ``max_size`` pixels are marked SPECKLE. Connected runs of pixels are united in a union-find
-    forest (Wu, Otoo and Suzuki 2009), in bands of rows whose seams are joined afterwards.
+    Two valid neighbors (4-connected) that differ by at most ``max_difference`` are connected; components of up to
+    ``max_size`` pixels are marked SPECKLE. Runs of pixels are merged by union-find (Wu, Otoo and Suzuki 2009), in bands
+    of rows that are joined afterwards.
     """
 
     def __init__(self, max_size: int, max_difference: int) -> None:
@@ -55,10 +55,10 @@ class SpeckleFilter:
         self._labels: I32 = np.empty((0, 0), np.int32)
 
     def __call__(self, disparity_x16: I16, reasons: U8) -> None:
-        """Marks speckles in ``reasons``, in place.
+        """Mark speckles in ``reasons``, in place.
 
         Args:
-            fixed: int16 (H, W), disparity in 1/16 px.
+            disparity_x16: int16 (H, W), disparity in 1/16 px.
             reasons: uint8 (H, W), 0 where valid.
         """
         if self._max_size == 0:
@@ -84,7 +84,7 @@ def _root(parent: I32, label: int) -> int:
 
 @compiled()
 def _unite(parent: I32, size: I32, a: int, b: int) -> int:
-    """One component of two; the root of it. The earlier root stays, so that trees remain flat in scan order."""
+    """Merge two components; returns the root. The earlier root stays, which keeps trees flat in scan order."""
     a, b = _root(parent, a), _root(parent, b)
     if a == b:
         return a
@@ -108,7 +108,7 @@ def _label_rows(
     size: I32,
     seams: U8,
 ) -> None:
-    """Labels the runs of each row (the index of their first pixel) and unites them with the runs above."""
+    """Label the runs of each row (by the index of their first pixel) and merge them with the runs above."""
     seams[first] = 1
     width = disparity_x16.shape[1]
     for y in range(first, last):

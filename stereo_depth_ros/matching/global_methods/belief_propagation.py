@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Belief propagation: neighbors tell each other what their disparities would cost, from coarse to fine."""
+"""Hierarchical min-sum belief propagation."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ __all__ = ["BeliefPropagationMatcher"]
 
 LEVELS = 5  # blocks of up to 16 x 16 pixels
 ITERATIONS = 10  # on each level
-RIGHT, LEFT, DOWN, UP = range(4)  # where a message goes
+RIGHT, LEFT, DOWN, UP = range(4)  # direction of a message
 
 
 class BeliefPropagationMatcher(GlobalMatcher):
     """Loopy min-sum belief propagation (max-product of the probabilities) on the grid, from coarse to fine.
 
     After Felzenszwalb and Huttenlocher (2006): messages of a truncated linear penalty in time linear in the number of
-    disparities; pixels of the two colors of a chessboard take turns, so one set of messages is enough; messages begin
-    as those of a grid of half the resolution. Other than there, a pixel of the coarser grid stands for labelings that
-    are constant on its block, so that contrast-sensitive weights add up as the costs do.
+    disparities; the two colors of a checkerboard are updated alternately, so one set of messages suffices; messages are
+    initialized from a grid of half the resolution. In contrast to the paper, a pixel of the coarser grid stands for
+    labelings that are constant on its block, so contrast-sensitive weights are summed like the costs.
 
-    The energy is that of ``energy.py``; ``energies`` holds it, in gray levels, after each
-    iteration on the finest grid, of the last pair. It need not fall every time. ``iterations`` are per grid.
+    The energy is that of ``energy.py``; ``energies`` holds it, in gray levels, after each iteration on the finest grid
+    for the last pair. It does not decrease monotonically. ``iterations`` are per grid. ``support_px`` is that of
+    :class:`GlobalMatcher`.
     """
 
     name = "belief_propagation"
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the search does not fit in 16-bit disparities."""
+        """Raise ConfigError as :class:`GlobalMatcher`."""
         super().__init__(config)
         self.energies: list[float] = []
 
@@ -57,12 +58,12 @@ class BeliefPropagationMatcher(GlobalMatcher):
 
 
 def _coarser(model: StereoModel) -> StereoModel:
-    """The energy of labelings that are constant on blocks of 2 x 2 pixels, fewer at the right and the lower edge."""
+    """The energy of labelings that are constant on blocks of 2 x 2 pixels, smaller at the right and bottom edge."""
     height, width = model.data.shape[:2]
     rows, columns = np.arange(0, height, 2), np.arange(0, width, 2)
     data: I32 = np.add.reduceat(np.add.reduceat(model.data, rows, 0, np.int32), columns, 1, np.int32)
     weights = np.zeros((2, len(rows), len(columns)), np.int32)
-    # The edges that leave a block start in its last column or row.
+    # Edges between blocks start in the last column or row of a block.
     to_right = np.add.reduceat(model.weights[0, :, 1::2], rows, 0, np.int32)
     to_below = np.add.reduceat(model.weights[1, 1::2], columns, 1, np.int32)
     weights[0, :, : to_right.shape[1]] = to_right
@@ -71,13 +72,13 @@ def _coarser(model: StereoModel) -> StereoModel:
 
 
 def _no_messages(model: StereoModel) -> I32:
-    """int32 (4, H + 2, W + 2, N): with a frame of senders outside the image, which never have anything to say."""
+    """Zero messages, int32 (4, H + 2, W + 2, N), with a border of senders outside the image that stay 0."""
     height, width, count = model.data.shape
     return np.zeros((4, height + 2, width + 2, count), np.int32)
 
 
 def _finer_messages(coarse: I32, model: StereoModel) -> I32:
-    """Each pixel of a block begins with the block's messages; an edge of blocks is two edges of pixels."""
+    """Initialize each pixel with half the messages of its block: an edge of blocks is two edges of pixels."""
     height, width = model.data.shape[:2]
     messages = _no_messages(model)
     halves = (coarse[:, 1:-1, 1:-1] // 2).repeat(2, axis=1).repeat(2, axis=2)
@@ -94,9 +95,9 @@ def _exchange(model: StereoModel, messages: I32) -> None:
 
 @compiled()
 def _send(total: I32, reply: I32, weight: int, largest_step: int, message: I32) -> None:
-    """What a pixel tells a neighbor: its costs, without what the neighbor told it, for each label of the neighbor.
+    """Message of a pixel to a neighbor: its total without the reply of the neighbor, for each label of the neighbor.
 
-    The least over all labels of the pixel, by one sweep up and one down; less a constant, so that the least is 0.
+    The minimum over all labels of the pixel, by a forward and a backward pass, normalized to a minimum of 0.
     """
     count = total.size
     least = total[0] - reply[0]
@@ -136,7 +137,7 @@ def _message_rows(first: int, last: int, data: I32, weights: I32, largest_step: 
 
 @compiled("void(int64, int64, int32[:, :, ::1], int32[:, :, :, ::1], int32[:, ::1])")
 def _label_rows(first: int, last: int, data: I32, messages: I32, labels: I32) -> None:
-    """The label of least belief: a pixel's own costs and all that it was told."""
+    """The label of minimum belief, the sum of data cost and all incoming messages."""
     width, count = data.shape[1:]
     belief = np.empty(count, np.int32)
     for y in range(first, last):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diffusion: the costs of all disparities spread to neighboring pixels until each pixel's winner is clear."""
+"""Matching by diffusion of the disparity space."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ __all__ = ["DiffusionMatcher"]
 
 ITERATIONS = 80
 
-# The gray difference of a match is Gaussian, but for a share of outliers that may have any.
+# Contaminated Gaussian of the gray-level difference of a match: a share of outliers is uniform.
 NOISE_SIGMA = 8.0
 NOISE_OUTLIERS = 0.1
-# So is the difference of neighboring disparities, px. Sigma is for a grid of whole disparities.
+# The same for the difference of neighboring disparities, px; sigma on the grid of whole disparities.
 STEP_SIGMA_PX = 0.4
 STEP_OUTLIERS = 0.01
-# Weight of each of the four neighbors: 1 is the mean field, less makes up for evidence that comes back to its pixel.
+# Weight of each of the four neighbors: 1 is the mean field, less compensates evidence that returns to its pixel.
 NEIGHBOR_WEIGHT = 0.5
-# Membrane: rate of diffusion (at most 1/4 is stable), and how strongly each pixel is held to its own cost.
+# Membrane: rate of diffusion (stable up to 1/4), and coupling of each pixel to its initial cost.
 DIFFUSION_RATE = 0.15
 HOLD_RATE = 0.02
 
@@ -39,25 +39,27 @@ HOLD_RATE = 0.02
 class DiffusionMatcher(SerialMatcher):
     """Diffusion of the disparity space (Scharstein and Szeliski 1998), ``iterations`` times; 0 is 80.
 
-    The cost of a pixel at a disparity is E0 = -log of a contaminated Gaussian of the gray difference, the
-    left image made as bright as the right one before. It spreads by ``diffusion_model``:
+    The cost of a pixel at a disparity is E0 = -log of a contaminated Gaussian of the gray-level difference, after the
+    photometric correction of the left image. It is diffused by ``diffusion_model``:
 
-    - "bayesian": each pixel keeps a distribution p = exp(-E) / sum exp(-E) over its disparities. It is smoothed along
-      the disparities by the prior of neighbors (a contaminated Gaussian too), and its -log, Es, is what the
-      neighbors hear: E = E0 + w sum over 4 neighbors of Es. Evidence spreads along surfaces and stops at their edges.
-    - "membrane": E moves by a (sum over 4 neighbors of their E - E) + b (E0 - E); linear smoothing whose support is
-      bell-shaped, without a window.
+    - "bayesian": each pixel has a distribution p = exp(-E) / sum exp(-E) over its disparities. It is smoothed along the
+      disparities by the prior of neighbors (also a contaminated Gaussian), and its -log, Es, is passed to the
+      neighbors: E = E0 + w sum over 4 neighbors of Es. Support spreads along surfaces and stops at their edges.
+    - "membrane": E changes by a (sum over 4 neighbors of their E - E) + b (E0 - E); linear smoothing with bell-shaped
+      support, without a window.
 
-    Then winner, uniqueness and left-right check (``disp12_max_diff`` above 0), and the fit of a parabola. Bayesian
-    energies have clear winners, so that most of its disparities are near whole pixels. The whole disparity space is in
-    memory, three times: 12 bytes per pixel and disparity. ``speckle_range`` is in px.
+    Winner, uniqueness and left-right check (``disp12_max_diff`` above 0) and a parabola fit follow. Bayesian energies
+    have sharp minima, so most disparities are near whole pixels. Three copies of the disparity space are in memory: 12
+    bytes per pixel and disparity. ``speckle_range`` is in px.
+
+    ``support_px`` is the window of the initial match for the photometric correction; the costs are pixel-wise.
     """
 
     name = "diffusion"
     step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the search does not fit in 16-bit disparities."""
+        """Raise ConfigError if the search range does not fit in 16-bit disparities."""
         check_search(config)
         super().__init__(config)
         self._iterations = config.iterations or ITERATIONS
@@ -80,11 +82,11 @@ class DiffusionMatcher(SerialMatcher):
     def _bayesian_energies(self, data: F32) -> F32:
         beside = math.exp(-1 / (2 * STEP_SIGMA_PX**2))
         kernel = (np.float32(1 / (1 + 2 * beside)), np.float32(beside / (1 + 2 * beside)))
-        heard, energies = np.zeros_like(data), np.empty_like(data)
+        received, energies = np.zeros_like(data), np.empty_like(data)
         for _ in range(self._iterations):
-            run_bands(_bayesian_rows, data.shape[0], data, heard, *kernel, energies)
-            heard, energies = energies, heard
-        run_bands(_energy_rows, data.shape[0], data, heard, energies)
+            run_bands(_bayesian_rows, data.shape[0], data, received, *kernel, energies)
+            received, energies = energies, received
+        run_bands(_energy_rows, data.shape[0], data, received, energies)
         return energies
 
     def _membrane_energies(self, data: F32) -> F32:
@@ -96,7 +98,7 @@ class DiffusionMatcher(SerialMatcher):
 
 
 def _noise_energies() -> F32:
-    """-log of the contaminated Gaussian for each absolute gray difference 0..255."""
+    """-log of the contaminated Gaussian for each absolute gray-level difference 0..255."""
     gaussian = np.exp(-(np.arange(256.0) ** 2) / (2 * NOISE_SIGMA**2))
     energies: F32 = -np.log((1 - NOISE_OUTLIERS) * gaussian + NOISE_OUTLIERS).astype(np.float32)
     return energies
@@ -109,7 +111,7 @@ def _noise_energies() -> F32:
     )
 )
 def _cost_rows(first: int, last: int, left: U8, right: U8, max_disparity: int, energies: F32, data: F32) -> None:
-    """Costs (H, W, D) of single pixels; index k is disparity ``max_disparity`` - k, inf outside the right image."""
+    """Pixel-wise costs (H, W, D); index k is disparity ``max_disparity`` - k, inf outside the right image."""
     _, width, count = data.shape
     for y in range(first, last):
         for x in range(width):
@@ -120,29 +122,29 @@ def _cost_rows(first: int, last: int, left: U8, right: U8, max_disparity: int, e
 
 
 @compiled()
-def _energy(data: F32, heard: F32, y: int, x: int, k: int) -> np.float32:
-    """E0 and what the four neighbors say; a pixel at the edge of the image hears itself instead."""
+def _energy(data: F32, received: F32, y: int, x: int, k: int) -> np.float32:
+    """E0 and the messages of the four neighbors; outside the image, the message of the pixel itself."""
     height, width = data.shape[0], data.shape[1]
-    vertical = heard[max(y - 1, 0), x, k] + heard[min(y + 1, height - 1), x, k]
-    horizontal = heard[y, max(x - 1, 0), k] + heard[y, min(x + 1, width - 1), k]
+    vertical = received[max(y - 1, 0), x, k] + received[min(y + 1, height - 1), x, k]
+    horizontal = received[y, max(x - 1, 0), k] + received[y, min(x + 1, width - 1), k]
     return np.float32(data[y, x, k] + np.float32(NEIGHBOR_WEIGHT) * (vertical + horizontal))
 
 
 @compiled("void(int64, int64, float32[:, :, ::1], float32[:, :, ::1], float32, float32, float32[:, :, ::1])")
-def _bayesian_rows(first: int, last: int, data: F32, heard: F32, center: float, beside: float, said: F32) -> None:
-    """What each pixel says to its neighbors, from what it heard."""
+def _bayesian_rows(first: int, last: int, data: F32, received: F32, center: float, beside: float, sent: F32) -> None:
+    """Messages of each pixel, from the messages it received."""
     count = data.shape[2]
-    p = np.zeros(count + 2, np.float32)  # p[k + 1] is index k; both ends stay 0
+    p = np.zeros(count + 2, np.float32)  # p[k + 1] is index k; both ends remain 0
     outliers = np.float32(STEP_OUTLIERS)
     for y in range(first, last):
         for x in range(data.shape[1]):
             least = np.float32(np.inf)
             for k in range(count):
-                p[k + 1] = _energy(data, heard, y, x, k)
+                p[k + 1] = _energy(data, received, y, x, k)
                 least = min(least, p[k + 1])
-            if least == np.inf:  # none of its disparities is in the right image: no preference
+            if least == np.inf:  # no disparity is in the right image: no preference
                 for k in range(count):
-                    said[y, x, k] = 0
+                    sent[y, x, k] = 0
                 continue
             total = np.float32(0)
             for k in range(1, count + 1):
@@ -151,15 +153,15 @@ def _bayesian_rows(first: int, last: int, data: F32, heard: F32, center: float, 
             scale = np.float32((1 - outliers) / total)
             for k in range(count):
                 smooth = center * p[k + 1] + beside * (p[k] + p[k + 2])
-                said[y, x, k] = -np.log(scale * smooth + outliers)
+                sent[y, x, k] = -np.log(scale * smooth + outliers)
 
 
 @compiled("void(int64, int64, float32[:, :, ::1], float32[:, :, ::1], float32[:, :, ::1])")
-def _energy_rows(first: int, last: int, data: F32, heard: F32, energies: F32) -> None:
+def _energy_rows(first: int, last: int, data: F32, received: F32, energies: F32) -> None:
     for y in range(first, last):
         for x in range(data.shape[1]):
             for k in range(data.shape[2]):
-                energies[y, x, k] = _energy(data, heard, y, x, k)
+                energies[y, x, k] = _energy(data, received, y, x, k)
 
 
 @compiled("void(int64, int64, float32[:, :, ::1], float32[:, :, ::1], float32[:, :, ::1])")
@@ -171,7 +173,7 @@ def _membrane_rows(first: int, last: int, data: F32, energies: F32, moved: F32) 
             for k in range(count):
                 here = energies[y, x, k]
                 flow = hold * (data[y, x, k] - here)
-                # Nothing flows from outside of either image.
+                # No flow from outside of either image.
                 for row, column in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
                     if 0 <= row < height and 0 <= column < width and energies[row, column, k] < np.inf:
                         flow += rate * (energies[row, column, k] - here)

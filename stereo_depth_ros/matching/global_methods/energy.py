@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The energy of a disparity map: what its pixels cost, and what its steps cost."""
+"""Energy of a disparity map: data and smoothness terms."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ __all__ = ["I32", "StereoModel", "energy", "neighbor_weights", "searched_columns
 
 I32: TypeAlias = npt.NDArray[np.int32]
 
-LARGEST_DATA_COST = 15  # gray levels; beyond it a pixel is an outlier (occluded, a reflection), whatever its cost
-SMOOTHNESS = 1.5  # gray levels that a step of one pixel costs, where the config leaves it to the method
-LARGEST_STEP = 2  # px; a larger step is a discontinuity and costs no more
-CONTRAST = 16  # gray levels; neighbors that differ by less are probably of one surface ...
-CONTRAST_FACTOR = 2  # ... and a step between them costs this many times as much
+LARGEST_DATA_COST = 15  # gray levels; truncation of the cost of outliers (occlusions, reflections)
+SMOOTHNESS = 1.5  # gray levels, cost of a step of one pixel by default
+LARGEST_STEP = 2  # px; truncation of the cost of larger steps
+CONTRAST = 16  # gray levels; neighbors that differ by less are probably on one surface ...
+CONTRAST_FACTOR = 2  # ... and the cost of a step between them is multiplied by this
 
 
 @dataclass(frozen=True)
 class StereoModel:
     """The energy function of one pair: E(f) = sum_p D(p, f_p) + sum_pq w_pq min(|f_p - f_q|, largest_step).
 
-    Costs are whole numbers of half gray levels, so that energies can be compared exactly.
+    Costs are integers in half gray levels, so that energies can be compared exactly.
 
     Attributes:
-        data: int32 (H, W, N), D: what it costs to give a pixel the disparity of an index.
-        weights: int32 (2, H, W), w: what a step of one px costs, to the right neighbor in [0] and to the lower one
-            in [1]; 0 where there is no neighbor.
-        largest_step: the step from which on the cost does not grow, px.
+        data: int32 (H, W, N), D: cost of the disparity of each index.
+        weights: int32 (2, H, W), w: cost of a step of one px, to the right neighbor in [0] and to the lower one in
+            [1]; 0 without a neighbor.
+        largest_step: truncation of the steps, px.
         largest_cost: the largest ``data`` of a disparity that lies in the right image.
     """
 
@@ -47,7 +47,7 @@ class StereoModel:
 
 
 def searched_columns(config: MatchingConfig, width: int) -> slice:
-    """The columns of the left image that have at least one of the disparities searched in the right image."""
+    """The columns of the left image with at least one searched disparity inside the right image."""
     return slice(max(0, config.min_disparity), width + min(0, config.max_disparity))
 
 
@@ -55,7 +55,7 @@ def neighbor_weights(image: U8, smoothness: float) -> I32:
     """Contrast-sensitive weights of the edges between neighbors (Boykov, Veksler and Zabih 2001, section 8.2).
 
     Args:
-        image: uint8 (H, W), whose edges disparity steps should follow.
+        image: uint8 (H, W), with whose edges disparity steps should coincide.
         smoothness: weight across an edge of the image, gray levels.
 
     Returns:
@@ -72,12 +72,12 @@ def neighbor_weights(image: U8, smoothness: float) -> I32:
 def stereo_model(left: U8, right: U8, config: MatchingConfig) -> StereoModel:
     """Truncated costs of Birchfield and Tomasi and contrast-sensitive weights, over :func:`searched_columns`.
 
-    Costs are those of the left image made as bright as the right one. A disparity that leaves the right image costs
-    more than all four neighbors can make up for.
+    Costs are computed after the photometric correction of the left image. A disparity that leaves the right image costs
+    more than all four neighbors can compensate.
 
     Args:
         left, right: uint8 (H, W), gray, rectified.
-        config: the search, and ``smoothness`` in gray levels, 0 for 1.5.
+        config: the search range, and ``smoothness`` in gray levels, 0 for 1.5.
     """
     columns = searched_columns(config, left.shape[1])
     weights = neighbor_weights(left[:, columns], config.smoothness or SMOOTHNESS)

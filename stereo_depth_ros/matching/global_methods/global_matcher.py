@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the methods that label all pixels together share: from a pair to its model, from labels to a result."""
+"""Base class of the global matchers: from a pair to its energy model, from labels to a result."""
 
 from __future__ import annotations
 
@@ -26,30 +26,36 @@ LEAST_SMOOTHNESS = 1 / COST_STEPS
 
 
 class GlobalMatcher(SerialMatcher):
-    """A method that gives every pixel a label, the index of a whole disparity, or none where it takes it for occluded.
+    """A method that assigns a label to every pixel, the index of a whole disparity, or none to occluded pixels.
 
-    Disparities are whole pixels: a fit of the costs beside them would move more pixels away from the truth than
-    towards it, since the least of a truncated cost that ignores sampling is flat. ``disp12_max_diff`` above 0 labels
-    the right image as well (the mirrored pair), and marks the pixels with which it disagrees; this doubles the time.
-    ``uniqueness_ratio`` has no effect, a pixel's own costs do not decide. ``speckle_range`` is in px. The confidence
-    is :func:`margin`, over windows of ``correlation_window_size``, times the share of disparities around that agree.
+    Disparities are whole pixels: a sub-pixel fit would degrade more pixels than it improves, since the minimum of a
+    truncated, sampling-insensitive cost is flat. ``disp12_max_diff`` above 0 also labels the right image (the mirrored
+    pair) and marks inconsistent pixels, which doubles the time. ``uniqueness_ratio`` has no effect, as the costs of a
+    single pixel do not determine its label. ``speckle_range`` is in px. The confidence is :func:`margin`, over windows
+    of ``correlation_window_size``, times the local consistency.
+
+    ``support_px`` is that window, which is also the initial window of the photometric correction.
     """
 
     step_px = 1.0
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the search does not fit in 16-bit disparities, or ``smoothness`` in the units of costs."""
+        """Raise ConfigError if the search range does not fit in 16 bits, or ``smoothness`` is below the cost unit."""
         check_search(config)
         if 0 < config.smoothness < LEAST_SMOOTHNESS:
             raise ConfigError(
-                f"smoothness = {config.smoothness:g} is below {LEAST_SMOOTHNESS:g} gray levels, half a level being the "
-                f"unit of {self.name}: take {LEAST_SMOOTHNESS:g} or more, or 0 for the method's own"
+                f"smoothness = {config.smoothness:g} is below {LEAST_SMOOTHNESS:g} gray levels, the unit of the costs "
+                f"of {self.name}",
+                value=config.smoothness,
+                limit=LEAST_SMOOTHNESS,
+                remedy=f"use {LEAST_SMOOTHNESS:g} or more, or 0 for the default of the method",
+                settings=("smoothness",),
             )
         super().__init__(config)
 
     @abstractmethod
     def _label(self, model: StereoModel) -> I32:
-        """int32 (H, W), label of every pixel of the model, ``NO_LABEL`` where it is occluded."""
+        """int32 (H, W), label of every pixel of the model, ``NO_LABEL`` for occluded pixels."""
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
@@ -58,7 +64,7 @@ class GlobalMatcher(SerialMatcher):
         disparity_x16 = np.zeros(left.shape, np.int16)
         reasons = np.full(left.shape, Reason.BORDER, np.uint8)
         margins = np.zeros(left.shape, np.float32)
-        # The right image first: what a method tells of its last run is of the left one.
+        # The right image first, so that the state of the last run is that of the left image.
         right_labels = self._right_labels(left, right) if config.disp12_max_diff > 0 else None
         model = stereo_model(left, right, config)
         labels = self._label(model)
@@ -70,7 +76,7 @@ class GlobalMatcher(SerialMatcher):
         return finish(disparity_x16, reasons, config, self.step_px, margins)
 
     def _right_labels(self, left: U8, right: U8) -> I32:
-        """Labels of the right image, int32 (H, W), ``NO_LABEL`` where it has none."""
+        """Labels of the right image, int32 (H, W), ``NO_LABEL`` where there is none."""
         model = stereo_model(right[:, ::-1], left[:, ::-1], self.config)
         mirrored = np.full(left.shape, NO_LABEL, np.int32)
         mirrored[:, searched_columns(self.config, left.shape[1])] = self._label(model)
@@ -78,7 +84,7 @@ class GlobalMatcher(SerialMatcher):
 
 
 def _check_right(disparity_x16: I16, reasons: U8, right_labels: I32, config: MatchingConfig) -> None:
-    """Marks the pixels whose right pixel has no label, or one more than ``disp12_max_diff`` away."""
+    """Mark the pixels whose right pixel has no label, or one more than ``disp12_max_diff`` away."""
     rows, columns = np.nonzero(reasons == 0)
     disparity = disparity_x16[rows, columns] // X16_STEPS
     other = right_labels[rows, columns - disparity]
@@ -87,13 +93,13 @@ def _check_right(disparity_x16: I16, reasons: U8, right_labels: I32, config: Mat
 
 
 def margin(model: StereoModel, labels: I32, window: int) -> F32:
-    """How much better the costs around a pixel are at its disparity than at the best of the others.
+    """Margin of the windowed cost at the disparity of a pixel over the best of the others.
 
     Costs are averaged over a square window; with ``own`` at the label of the pixel and ``other`` at the best label at
-    least two away, the lead is other / (own + other): 1 where no other fits, 0.5 where another fits as well.
+    least two away, the margin is other / (own + other): 1 if no other matches, 0.5 if another matches as well.
 
     Args:
-        labels: int32 (H, W), as of ``GlobalMatcher``; the lead of ``NO_LABEL`` has no meaning.
+        labels: int32 (H, W), as of ``GlobalMatcher``; the margin of ``NO_LABEL`` is undefined.
         window: side, odd, px.
 
     Returns:

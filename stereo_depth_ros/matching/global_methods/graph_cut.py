@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Graph cuts: the energy falls by alpha-expansions, each the minimum cut of a graph."""
+"""Graph cuts: energy minimization by alpha-expansion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stereo_depth_ros.matching.global_methods.global_matcher import GlobalMatche
 
 __all__ = ["GraphCutMatcher"]
 
-CYCLES = 4  # through all disparities; few moves are left to make after two
+CYCLES = 4  # through all disparities; few moves remain after two
 TO_RIGHT = np.array([[0, 0, 0], [0, 0, 1], [0, 0, 0]])
 TO_BELOW = np.array([[0, 0, 0], [0, 0, 0], [0, 1, 0]])
 
@@ -26,26 +26,27 @@ TO_BELOW = np.array([[0, 0, 0], [0, 0, 0], [0, 1, 0]])
 class GraphCutMatcher(GlobalMatcher):
     """Alpha-expansion (Boykov, Veksler and Zabih 2001) on the energy of ``energy.py``.
 
-    An expansion move lets every pixel choose between its disparity and one other, alpha. The best choice of all pixels
-    together is a minimum cut (the graph of Kolmogorov and Zabih 2004, without auxiliary nodes; it exists because the
-    penalty is a metric). Moves go through the disparities in rising order, from the pixels' cheapest disparities on,
-    until none lowers the energy, or for ``iterations`` cycles. ``energies`` holds the energy, in gray levels, at the
-    start and after each move that lowered it, of the last pair.
+    An expansion move lets every pixel keep its disparity or change to one other, alpha. The optimal move is a minimum
+    cut (the graph of Kolmogorov and Zabih 2004, without auxiliary nodes; it exists because the penalty is a metric).
+    Starting from the disparities of lowest cost, moves cycle through the disparities in ascending order until none
+    lowers the energy, or for ``iterations`` cycles. ``energies`` holds the energy, in gray levels, at the start and
+    after each move that lowered it, for the last pair.
 
-    Max-flow is PyMaxflow's (Boykov and Kolmogorov 2004), an optional dependency under the GPL.
+    Max-flow is computed by PyMaxflow (Boykov and Kolmogorov 2004), an optional dependency under the GPL. ``support_px``
+    is that of :class:`GlobalMatcher`.
     """
 
     name = "graph_cut"
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the search does not fit in 16-bit disparities, or PyMaxflow cannot be imported."""
+        """Raise ConfigError as :class:`GlobalMatcher`, or if PyMaxflow cannot be imported."""
         super().__init__(config)
         self.energies: list[float] = []
         try:
             self._maxflow: Any = importlib.import_module("maxflow")
         except ImportError as error:
             raise ConfigError(
-                f"matcher graph_cut needs PyMaxflow, which cannot be imported ({error}): pip install PyMaxflow"
+                f"matcher graph_cut needs PyMaxflow, which cannot be imported ({error})", remedy="pip install PyMaxflow"
             ) from error
 
     def _label(self, model: StereoModel) -> I32:
@@ -65,7 +66,7 @@ class GraphCutMatcher(GlobalMatcher):
         return labels
 
     def _expand(self, model: StereoModel, labels: I32, alpha: int) -> I32:
-        """The labeling of least energy in which every pixel has its label or ``alpha``."""
+        """The labeling of minimum energy in which every pixel has its label or ``alpha``."""
         keep, change = np.empty((2, *labels.shape), np.int32)
         edges = np.empty((2, *labels.shape), np.int32)
         move = (model.data, model.weights, model.largest_step, labels, alpha)
@@ -74,7 +75,7 @@ class GraphCutMatcher(GlobalMatcher):
         nodes = graph.add_grid_nodes(labels.shape)
         graph.add_grid_edges(nodes, edges[0], TO_RIGHT)
         graph.add_grid_edges(nodes, edges[1], TO_BELOW)
-        graph.add_grid_tedges(nodes, change, keep)  # a pixel in the sink's part changes, and its source edge is cut
+        graph.add_grid_tedges(nodes, change, keep)  # pixels in the sink segment change, their source edge is cut
         graph.maxflow()
         expanded: I32 = np.where(graph.get_grid_segments(nodes), np.int32(alpha), labels)
         return expanded
@@ -96,11 +97,11 @@ def _capacity_rows(
     change: I32,
     edges: I32,
 ) -> None:
-    """Capacities of a graph whose cuts cost what the labelings of a move cost, less a constant.
+    """Capacities of a graph whose cuts have the costs of the labelings of a move, up to a constant.
 
     With x = 0 for a pixel p that keeps its label and 1 for one that changes, the energy of an edge pq, E_xp,xq, is
-    E00 + (E10 - E00) x_p - E10 x_q + (E01 + E10 - E00) (1 - x_p) x_q, as E11 = 0: a term of each pixel, and one of an
-    edge from p to q, which the triangle inequality keeps from being negative.
+    E00 + (E10 - E00) x_p - E10 x_q + (E01 + E10 - E00) (1 - x_p) x_q, as E11 = 0: a term per pixel, and one per edge
+    from p to q, which is not negative by the triangle inequality.
     """
     width = labels.shape[1]
     for y in range(first, last):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dynamic programming along scanlines, with occlusion, the ordering constraint and consistency across scanlines."""
+"""Dynamic programming along scanlines with occlusion, ordering constraint and inter-scanline consistency."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from stereo_depth_ros.matching.global_methods.global_matcher import NO_LABEL, Gl
 
 __all__ = ["ScanlineMatcher"]
 
-OCCLUSION = 8.0  # gray levels that a pixel of either image without partner costs
-CONSISTENCY = 1.0  # weight of steps between scanlines against those along them; 0 is every scanline for itself
+OCCLUSION = 8.0  # gray levels, cost of an occluded pixel in either image
+CONSISTENCY = 1.0  # weight of steps between scanlines relative to those along them; 0 is independent scanlines
 FAR = np.int32(2**29)
 MATCH, LEFT_ONLY, RIGHT_ONLY = range(3)
 
 
 class ScanlineMatcher(GlobalMatcher):
-    """Every scanline is the cheapest path through left and right row, in agreement with the scanlines above and below.
+    """Every scanline is the path of lowest cost through left and right row, consistent with the adjacent scanlines.
 
-    Along a scanline (Cox, Hingorani, Rao and Maggs 1996; Belhumeur 1996) a path takes one of three moves: left and
-    right pixel match, the left pixel is occluded in the right image, or the right one in the left. So a pixel has at
-    most one partner and the order of the pixels is the same in both rows. A match costs its pixels' dissimilarity, an
-    occluded pixel a constant, and the end of a run of occluded pixels what any discontinuity costs there, less at an
-    edge of the image (as the edges of Bobick and Intille 1999 guide the path).
+    Along a scanline (Cox, Hingorani, Rao and Maggs 1996; Belhumeur 1996) a path has three moves: left and right
+    pixel match, the left pixel is occluded in the right image, or the right one in the left. So a pixel has at most one
+    partner and the order of the pixels is the same in both rows. The cost of a match is the pixel dissimilarity, that
+    of an occluded pixel a constant, and that of the end of a run of occluded pixels the cost of a discontinuity, lower
+    at an intensity edge (edges also guide the path in Bobick and Intille 1999).
 
-    Across scanlines (Ohta and Kanade 1985) edges that are connected from row to row should keep their disparity. Ohta
-    and Kanade search the path of whole edges in three dimensions; here steps between vertical neighbors cost as in
-    ``energy.py``, again less across an edge of the image, with "occluded" as one more label
-    that is a discontinuity away from every disparity. For each scanline the sum over itself and all columns, which
-    form a tree, is minimized exactly (the tree of Bleyer and Gelautz 2008): the columns first tell what they would
-    pay for each label of a pixel, then the path is found with these costs.
+    Across scanlines (Ohta and Kanade 1985) edges that are connected between rows should keep their disparity. Ohta and
+    Kanade search the path of whole edges in three dimensions; here steps between vertical neighbors cost as in
+    ``energy.py``, again less across an intensity edge, and "occluded" is an additional label at the cost of a
+    discontinuity from every disparity. For each scanline the sum over itself and all columns, which form a tree, is
+    minimized exactly (the tree of Bleyer and Gelautz 2008): first the costs of the columns for each label of a pixel,
+    then the path with these costs.
 
-    Pixels occluded in the right image are NO_MATCH. With ``fill_holes`` every pixel has a disparity; those filled have
-    confidence 0.
+    Pixels occluded in the right image are NO_MATCH. With ``fill_holes`` every pixel has a disparity; filled pixels have
+    confidence 0. ``support_px`` is that of :class:`GlobalMatcher`.
     """
 
     name = "scanline"
@@ -63,10 +63,10 @@ class ScanlineMatcher(GlobalMatcher):
 
 
 @compiled()
-def _pass_on(message: I32, data: I32, y: int, x: int, weight: int, largest_step: int, occlusion: int) -> None:
-    """Turns what pixel (y, x) was told into what it tells its vertical neighbor about each label of that one.
+def _update_message(message: I32, data: I32, y: int, x: int, weight: int, largest_step: int, occlusion: int) -> None:
+    """Update the message received by pixel (y, x) to the one it sends to its vertical neighbor, for each label.
 
-    The last label is "occluded", ``largest_step`` away from all others. Messages begin at 0: their least costs nothing.
+    The last label is "occluded", ``largest_step`` away from all others. Messages are normalized to a minimum of 0.
     """
     count = message.size - 1
     hidden = message[count] + occlusion
@@ -89,7 +89,7 @@ def _pass_on(message: I32, data: I32, y: int, x: int, weight: int, largest_step:
 def _column_costs(
     first: int, last: int, data: I32, weights: I32, largest_step: int, largest_cost: int, occlusion: int, costs: I32
 ) -> None:
-    """Least sum over a whole column for each label of each of its pixels, less a constant; FAR outside the image.
+    """Minimum sum over a column for each label of each of its pixels, up to a constant; FAR outside the image.
 
     Args:
         first, last: columns of this band.
@@ -104,19 +104,19 @@ def _column_costs(
             for k in range(count):
                 costs[y, x, k] = data[y, x, k] + message[k]
             costs[y, x, count] = occlusion + message[count]
-            _pass_on(message, data, y, x, weights[y, x], largest_step, occlusion)
+            _update_message(message, data, y, x, weights[y, x], largest_step, occlusion)
         message[:] = 0
         for y in range(height - 1, -1, -1):
             for k in range(count):
                 costs[y, x, k] = costs[y, x, k] + message[k] if data[y, x, k] <= largest_cost else FAR
             costs[y, x, count] += message[count]
             if y > 0:
-                _pass_on(message, data, y, x, weights[y - 1, x], largest_step, occlusion)
+                _update_message(message, data, y, x, weights[y - 1, x], largest_step, occlusion)
 
 
 @compiled()
 def _trace_back(origin: U8, state: int, k: int, y: int, labels: I32) -> None:
-    """Writes the labels of row ``y``, from where its path ends back to where it began."""
+    """Write the labels of row ``y``, from the end of its path back to the start."""
     x = origin.shape[0] - 1
     while x >= 0:
         if state == MATCH:
@@ -135,11 +135,11 @@ def _trace_back(origin: U8, state: int, k: int, y: int, labels: I32) -> None:
 
 @compiled("void(int64, int64, int32[:, :, ::1], int32[:, ::1], int32, int32[:, ::1])")
 def _path_rows(first: int, last: int, costs: I32, gaps: I32, occlusion: int, labels: I32) -> None:
-    """The cheapest path of each row, as labels.
+    """The path of lowest cost of each row, as labels.
 
-    The position of a path is (x, k): it has come to the end of left pixel x and of right pixel x - disparity(k). An
+    The position of a path is (x, k): the end of left pixel x and of right pixel x - disparity(k). An
     occluded left pixel moves it to (x + 1, k + 1), an occluded right pixel to (x, k - 1), a match to (x + 1, k). A run
-    of occluded pixels is of one camera, and a match ends it: so the nearer surface of a gap begins with a match.
+    of occluded pixels is in one image and ends with a match.
 
     Args:
         costs: int32 (H, W, N + 1) of :func:`_column_costs`.

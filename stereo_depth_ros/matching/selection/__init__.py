@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From costs to the disparity of a pixel."""
+"""Selection of disparities from costs."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a row of float costs to disparities: winner, uniqueness, left-right check, sub-pixel fit; median, speckles."""
+"""Selection from float costs: winner, uniqueness, left-right check, sub-pixel fit, median and speckle filters."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ def select_row(
     disparity_x16: I16,
     reasons: U8,
 ) -> None:
-    """Least cost of every pixel of row ``y``, or the reason against it; for kernels.
+    """Disparity of lowest cost of every pixel of row ``y``, or the reason against it; for kernels.
 
     Args:
-        y: row that is written of the two arrays at the end.
-        costs: float32 (W, D), not negative, inf where a hypothesis cannot be judged. Index k is disparity
+        y: row of ``disparity_x16`` and ``reasons`` that is written.
+        costs: float32 (W, D), not negative, inf where a disparity has no cost. Index k is disparity
             ``max_disparity`` - k; of equal costs the largest disparity wins.
-        parabola: sub-pixel fit of a parabola (squares, correlations), else of two equal slopes (absolute differences).
-        uniqueness: percent by which the best cost that is no neighbor of the winner must be above it; 0 is no check.
-        tolerance: of the left-right check, px; 0 is no check.
-        fixed: int16 (H, W), disparity in 1/16 px where valid.
-        reasons: uint8 (H, W): BORDER without a hypothesis in the right image, TEXTURE where none can be judged.
+        parabola: sub-pixel fit of a parabola (squares, correlations), else of two lines (absolute differences).
+        uniqueness: percentage by which all costs but those adjacent to the winner must be above it; 0 disables it.
+        tolerance: of the left-right check, px; 0 disables it.
+        disparity_x16: int16 (H, W), disparity in 1/16 px where valid.
+        reasons: uint8 (H, W): BORDER if no disparity is in the right image, TEXTURE if none has a cost.
     """
     width, count = costs.shape
     for x in range(width):
@@ -74,7 +74,7 @@ def select_row(
 
 @compiled()
 def _offset(costs: F32, x: int, index: int, parabola: bool) -> int:
-    """Sub-pixel part in 1/16 px, -8..8, from the costs on both sides; 0 where one is missing."""
+    """Sub-pixel part in 1/16 px, -8..8, from the adjacent costs; 0 if one is missing."""
     if index == 0 or index == costs.shape[1] - 1:
         return 0
     # Disparities fall with the index.
@@ -85,7 +85,7 @@ def _offset(costs: F32, x: int, index: int, parabola: bool) -> int:
 
 @compiled()
 def _check_right(y: int, costs: F32, max_disparity: int, tolerance: int, disparity_x16: I16, reasons: U8) -> None:
-    """Marks pixels whose match is claimed at less cost with a disparity more than ``tolerance`` px away."""
+    """Mark pixels whose right pixel prefers a disparity more than ``tolerance`` px away."""
     width, count = costs.shape
     preferred = np.zeros(width, np.int64)
     for at in range(width):
@@ -107,8 +107,8 @@ def median_filter(disparity_x16: I16, reasons: U8, size: int) -> I16:
     """Median of the valid pixels in a square of odd side ``size`` px (the lower one of an even number).
 
     Args:
-        fixed: int16 (H, W), disparity in 1/16 px.
-        reasons: uint8 (H, W), 0 where valid. Other pixels take no part and stay as they are.
+        disparity_x16: int16 (H, W), disparity in 1/16 px.
+        reasons: uint8 (H, W), 0 where valid. Other pixels are ignored and unchanged.
 
     Returns:
         int16 (H, W), 1/16 px.
@@ -127,13 +127,13 @@ def median_filter(disparity_x16: I16, reasons: U8, size: int) -> I16:
 def _median_rows(
     first: int, last: int, disparity_x16: I16, reasons: U8, half: int, low: int, levels: int, filtered: I16
 ) -> None:
-    """Sliding histogram (Huang, Yang and Tang 1979): columns enter and leave, the median moves from where it was."""
+    """Sliding histogram (Huang, Yang and Tang 1979): columns enter and leave, the median is updated."""
     height, width = disparity_x16.shape
     counts = np.empty(levels, np.int32)
     for y in range(first, last):
         top, bottom = max(0, y - half), min(height, y + half + 1)
         counts[:] = 0
-        total, median, below = 0, 0, 0  # below: how many are under the median
+        total, median, below = 0, 0, 0  # below: number of values below the median
         for x in range(-half, width):
             for column, step in ((x + half, 1), (x - half - 1, -1)):
                 if 0 <= column < width:
@@ -163,5 +163,5 @@ def finish(
     disparity_px = np.empty(disparity_x16.shape, np.float32)
     disparity_from_x16(disparity_x16, reasons, disparity_px)
     if margin is not None:
-        margin[reasons != 0] = 0  # also where holes will be filled
+        margin[reasons != 0] = 0  # including holes that will be filled
     return MatchResult(disparity_px, reasons, step_px, functools.partial(local_consistency, disparity_px, margin))

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From summed costs to the best disparity of a pixel: sub-pixel fit, lead over the second, left-right check.
+"""Selection from summed costs: winner, second best, sub-pixel fit, left-right check.
 
-A bid is a summed cost in the upper 16 bits of a uint32 and its index in the lower ones: the least bid tells both the
-least cost and where it is, and of equal costs the first.
+A key has a summed cost in the upper 16 bits of a uint32 and its index in the lower ones: the smallest key gives both
+the lowest cost and its index, of equal costs the first.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _LEFT_RIGHT = np.uint8(Reason.LEFT_RIGHT)
 
 @compiled(allocates=False)
 def make_keys(totals: U16, path: U8, ramp: U32, keys: U32) -> None:
-    """Bids of a pixel from its totals and the last path.
+    """Keys of a pixel from its totals and the last path.
 
     Args:
         totals: uint16 (K,), the sum of the other paths.
         path: uint8 (K + 2,), path costs with one more element at either end.
         ramp: uint32 (K,), 0, 1, 2 ...
-        bids: uint32 (K,), written.
+        keys: uint32 (K,), written.
     """
     for k in range(keys.size):
         keys[k] = np.uint32(np.uint32(np.uint32(totals[k]) + np.uint32(path[k + 1])) << _SHIFT) | ramp[k]
@@ -42,7 +42,7 @@ def make_keys(totals: U16, path: U8, ramp: U32, keys: U32) -> None:
 
 @compiled(allocates=False)
 def least_key(keys: U32) -> np.uint32:
-    """The best of the bids of a pixel."""
+    """The smallest key of a pixel."""
     least = NO_KEY
     for k in range(keys.size):
         least = min(least, keys[k])
@@ -51,7 +51,7 @@ def least_key(keys: U32) -> np.uint32:
 
 @compiled(allocates=False)
 def second_key(keys: U32, ramp: U32, best: int) -> np.uint32:
-    """The best of the bids that are at least two indices away from ``best``."""
+    """The smallest key at least two indices away from ``best``."""
     second = NO_KEY
     below = np.uint32(np.uint32(best) - _ONE)
     for k in range(keys.size):
@@ -61,18 +61,18 @@ def second_key(keys: U32, ramp: U32, best: int) -> np.uint32:
 
 @compiled(allocates=False)
 def lower_keys(keys: U32, right_keys: U32) -> None:
-    """Lets every disparity of a left pixel bid for its right pixel."""
+    """Update the smallest keys of the right pixels with those of a left pixel."""
     for k in range(keys.size):
         right_keys[k] = min(right_keys[k], keys[k])
 
 
 @compiled(allocates=False)
 def subpixel(keys: U32, best: int) -> float:
-    """Sub-pixel part of the index, -0.5..0.5: where two lines of equal and opposite slope through three costs meet.
+    """Sub-pixel part of the index, -0.5..0.5: the intersection u of two lines of opposite slope through three costs.
 
-    That place u is drawn towards whole pixels; u (1 + (1 - 4 u^2) / 4) undoes it on average (the form of an
+    u is biased towards whole pixels (pixel locking); u (1 + (1 - 4 u^2) / 4) compensates it on average (an
     interpolation function after Haller and Nedevschi, "Design of interpolation functions for subpixel-accuracy
-    stereo-vision systems", TIP 2012; the factor is from a histogram of real disparities).
+    stereo-vision systems", TIP 2012; with a factor fitted to a histogram of real disparities).
     """
     if best == 0 or best == keys.size - 1 or keys[best - 1] == NO_KEY or keys[best + 1] == NO_KEY:
         return 0.0
@@ -86,12 +86,12 @@ def subpixel(keys: U32, best: int) -> float:
 
 @compiled(allocates=False)
 def left_right_row(best: U16, right_keys: U32, tolerance: int, reasons: U8) -> None:
-    """Marks the pixels of a row whose right pixel prefers another disparity by more than ``tolerance`` px.
+    """Mark the pixels of a row whose right pixel prefers a disparity more than ``tolerance`` px away.
 
     Args:
-        best: uint16 (W,), the index of each left pixel; index k of left pixel x bids for right pixel x + k.
-        right_keys: uint32 (W + K,), the best bid for each right pixel.
-        reasons: uint8 (W,), 0 where there is a match.
+        best: uint16 (W,), the index of each left pixel; index k of left pixel x is right pixel x + k.
+        right_keys: uint32 (W + K,), the smallest key of each right pixel.
+        reasons: uint8 (W,), 0 where valid.
     """
     for x in range(best.size):
         if reasons[x] == 0:

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Semi-global path costs in 8 bits: one step along a path, and a row of steps from the row before.
+"""Semi-global path costs in 8 bits: a step along a path, and the steps from one row to the next.
 
 L(p, d) = C(p, d) + min(L(p-r, d), L(p-r, d +- 1) + P1, min_k L(p-r, k) + P2) - min_k L(p-r, k)
 (Hirschmueller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008, equation 13).
 
-L <= max C + P2, so that with max C + P1 + P2 <= 255 all intermediates fit in 8 bits, and a vector register holds twice
-as many of them as of 16 bits. Arrays of path costs have one more element at either end, 255 - P1, which never wins.
+L <= max C + P2, so with max C + P1 + P2 <= 255 all intermediate values fit in 8 bits, which doubles the number
+per vector register compared to 16 bits. Arrays of path costs have one more element at either end, 255 - P1, which is
+never the minimum.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ _TOP = np.uint8(LARGEST_PATH_COST)
 
 @compiled(allocates=False)
 def path_step(before: U8, least: np.uint8, cost: U8, P1: np.uint8, P2: np.uint8, after: U8) -> np.uint8:
-    """One step of all disparities of a pixel; returns the least of the new path costs.
+    """One step of all disparities of a pixel; returns the minimum of the new path costs.
 
     Args:
-        before: uint8 (K + 2,), path costs of the pixel before.
-        least: the least of them.
+        before: uint8 (K + 2,), path costs of the previous pixel.
+        least: their minimum.
         cost: uint8 (K,), matching costs of this pixel.
         after: uint8 (K + 2,), receives the path costs of this pixel.
     """
@@ -44,7 +45,7 @@ def path_step(before: U8, least: np.uint8, cost: U8, P1: np.uint8, P2: np.uint8,
 
 @compiled(allocates=False)
 def start_path(cost: U8, after: U8) -> np.uint8:
-    """The first pixel of a path: its matching costs; returns the least of them."""
+    """The first pixel of a path: its matching costs; returns their minimum."""
     best = _TOP
     for k in range(cost.size):
         after[k + 1] = cost[k]
@@ -65,13 +66,13 @@ def step_row(
     after: U8,
     least_after: U8,
 ) -> None:
-    """Moves the paths of a row to the next, ``shift`` columns on; paths that would come from outside begin here.
+    """Advance the paths of a row to the next one, ``shift`` columns on; paths that enter the image start here.
 
     Args:
-        image, image_before: uint8 (W,), rows of the left image, this and the one before.
+        image, image_before: uint8 (W,), this and the previous row of the left image.
         cost: uint8 (W, K), matching costs of this row.
         P2: uint8 (256,), the penalty by the gray difference of the two pixels.
-        before, least_before: uint8 (W, K + 2) and (W,), path costs of the row before and the least of each pixel.
+        before, least_before: uint8 (W, K + 2) and (W,), path costs of the previous row and their minimum per pixel.
         after, least_after: the same of this row, written.
     """
     width = image.size

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Semi-global block matching: OpenCV's StereoSGBM behind the Matcher protocol."""
+"""Semi-global block matching by OpenCV's StereoSGBM."""
 
 from __future__ import annotations
 
@@ -36,24 +36,30 @@ NO_MATCH = int(Reason.NO_MATCH)
 class SemiGlobalBlockMatcher(SerialMatcher):
     """``cv2.StereoSGBM`` (Hirschmueller 2008, with block costs of Birchfield and Tomasi 1998).
 
-    One run over the whole image: paths cross all rows, so bands would change the result. ``uniqueness_ratio``, ``P1``
-    and ``P2`` are rounded to whole numbers, see :func:`penalties`; ``disp12_max_diff`` 0 is 1 px, as in OpenCV. OpenCV
-    does not tell why it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle
-    filter is ours, with OpenCV's result, and has its own reason.
+    It processes the whole image in one thread, as paths cross all rows. ``uniqueness_ratio``, ``P1`` and ``P2`` are
+    rounded to integers, see :func:`penalties`; ``disp12_max_diff`` 0 means 1 px, as in OpenCV. OpenCV does not report
+    why it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle filter of this
+    package gives the result of OpenCV and the reason SPECKLE.
+
+    ``support_px`` is the window; the Sobel prefilter and the interpolation of the pixel costs read a little more.
     """
 
     name = "sgbm"
     step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where OpenCV would crash or return wrong disparities with these parameters."""
+        """Raise ConfigError if OpenCV would crash or return wrong disparities with these parameters."""
         check_search(config)
         _check_window(config)
         P1, P2 = penalties(config)
         uniqueness = round(config.uniqueness_ratio)
         if config.sgbm_mode == 2 and uniqueness == 100:
             raise ConfigError(
-                f"uniqueness_ratio = {config.uniqueness_ratio:g} divides by zero in sgbm_mode 2: take 99 or less"
+                f"uniqueness_ratio = {config.uniqueness_ratio:g} divides by zero in sgbm_mode 2",
+                value=config.uniqueness_ratio,
+                limit=99,
+                remedy="use 99 or less",
+                settings=("uniqueness_ratio",),
             )
         super().__init__(config)
         self._invalid = (config.min_disparity - 1) * X16_STEPS
@@ -90,9 +96,9 @@ class SemiGlobalBlockMatcher(SerialMatcher):
 
 
 def penalties(config: MatchingConfig) -> tuple[int, int]:
-    """P1 and P2 as given, or where they are 0, 8 and 32 times the area of the window, as OpenCV recommends.
+    """P1 and P2 of the config, or if they are 0, 8 and 32 times the window area, as OpenCV recommends.
 
-    They grow with the window because its cost is a sum. An automatic P2 leaves room for the costs in 16 bits.
+    They scale with the window because its cost is a sum. An automatic P2 leaves room for the costs in 16 bits.
     """
     area = config.correlation_window_size**2
     room = LARGEST_TOTAL - area * _largest_pixel_cost(config) // 2
@@ -105,13 +111,17 @@ def _largest_pixel_cost(config: MatchingConfig) -> int:
 
 
 def _check_window(config: MatchingConfig) -> None:
-    """ConfigError where OpenCV's 16-bit costs overflow: it then returns dense, wrong disparities."""
+    """Raise ConfigError if the 16-bit costs of OpenCV overflow: it would return dense, wrong disparities."""
     # real windows stay below half of the worst case
     largest = math.isqrt(2 * LARGEST_TOTAL // _largest_pixel_cost(config))
     if config.correlation_window_size > largest:
         raise ConfigError(
             f"correlation_window_size = {config.correlation_window_size} overflows the 16-bit costs of sgbm with "
-            f"prefilter_cap = {config.prefilter_cap}: take {largest - 1 + largest % 2} or less"
+            f"prefilter_cap = {config.prefilter_cap}",
+            value=config.correlation_window_size,
+            limit=largest - 1 + largest % 2,
+            remedy=f"use {largest - 1 + largest % 2} or less",
+            settings=("correlation_window_size", "prefilter_cap"),
         )
 
 

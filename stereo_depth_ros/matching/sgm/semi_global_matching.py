@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Semi-global matching of census costs: the default, for frame rate."""
+"""Semi-global matching of census costs, the default matcher."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from stereo_depth_ros.matching.sgm.strips import (
 
 __all__ = ["SemiGlobalMatcher"]
 
-EDGE_GRAY_LEVELS = 6.0  # at this difference of neighbors P2 is halved
-UNIQUENESS_SHARE = 1 / 3  # of uniqueness_ratio: sums over paths differ less than the window sums that it is made for
-STRIP_BYTES = 24 << 20  # of costs; smaller ones stay in the cache, larger ones have less approach
+EDGE_GRAY_LEVELS = 6.0  # difference of neighbors at which P2 is halved
+UNIQUENESS_SHARE = 1 / 3  # of uniqueness_ratio: sums over paths differ less than the window sums it is defined for
+STRIP_BYTES = 24 << 20  # of costs: smaller strips stay in the cache, larger ones need less warm-up
 APPROACH_ROWS = 16
-APPROACH_BYTES = 64 << 20  # of costs; searches of thousands of disparities approach their strips over fewer rows
+APPROACH_BYTES = 64 << 20  # of costs: searches of thousands of disparities have fewer warm-up rows
 _NAN = np.float32(np.nan)
 
 
@@ -45,18 +45,20 @@ class SemiGlobalMatcher(SerialMatcher):
 
     Costs are Hamming distances of 9 x 7 census codes, smoothed over 3 x 3 pixels. They are summed along ``sgm_paths``
     directions, with P2 lowered at edges of the left image: P2 / (1 + |difference| / 6), not below P1. The best
-    disparity has a sub-pixel part from two lines of equal slope, whose pull towards whole pixels is taken back
-    (Haller and Nedevschi 2012). The left-right check compares with what the right pixels prefer in the same sums.
-    Then speckles go, and ``disparity_filter`` evens out what is left.
+    disparity has a sub-pixel part from two lines of opposite slope, corrected for pixel locking (Haller and Nedevschi
+    2012). The left-right check uses the same sums for the right pixels. The speckle filter and ``disparity_filter``
+    follow.
 
-    Vertical paths run over strips of rows, each with 16 rows of approach: strips are independent, and their costs stay
-    in the cache (as the stripes of Spangenberg et al. 2014). Their heights follow from the image size and the search
-    alone, so that the result does not depend on the number of cores.
+    Vertical paths run over strips of rows, each with 16 warm-up rows: strips are independent, and their costs stay in
+    the cache (as the stripes of Spangenberg et al. 2014). Their heights depend on the image size and the search range
+    only, so that the result does not depend on the number of cores.
 
-    A winner leads the best sum that is at least 2 px away by (second - best) / second, which must be a third of
-    ``uniqueness_ratio`` percent; it is 0 where the right image shows no second. The confidence is this lead times the
-    share of disparities around that agree, computed when it is asked for. With ``fill_holes``
-    every pixel has a disparity; those filled have confidence 0.
+    The margin of a winner over the best sum at least 2 px away is (second - best) / second, and must be at least a
+    third of ``uniqueness_ratio`` percent; it is 0 if the right image has no second candidate. The confidence is this
+    margin times the local consistency, computed on demand. With ``fill_holes`` every pixel has a disparity; filled
+    pixels have confidence 0.
+
+    ``support_px`` is the census window, 9 x 7 pixels; the smoothing of the costs reads one more pixel on all sides.
     """
 
     name = "sgm"
@@ -64,7 +66,7 @@ class SemiGlobalMatcher(SerialMatcher):
     support_px = CENSUS_WINDOW
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the penalties contradict each other."""
+        """Raise ConfigError if the penalties contradict each other."""
         _check_penalties(config)
         super().__init__(config)
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * SPECKLE_STEPS_PER_PX)
@@ -108,7 +110,7 @@ class SemiGlobalMatcher(SerialMatcher):
         count = self.config.num_disparities
         approach = min(max(APPROACH_BYTES // (width * count), 2), APPROACH_ROWS)
         rows = min(max(STRIP_BYTES // (2 * width * count), approach), 128)
-        self._strips = min(4 * -(-height // (4 * rows)), height)  # a multiple of 4, for even shares of 2 or 4 cores
+        self._strips = min(4 * -(-height // (4 * rows)), height)  # a multiple of 4, to balance 2 or 4 cores
         highest = -(-height // self._strips)
         bands = min(core_count(), self._strips)
         self._scratch = Scratch.allocate(bands, min(highest + 2 * approach, height), width, self.config)
@@ -120,9 +122,21 @@ class SemiGlobalMatcher(SerialMatcher):
 def _check_penalties(config: MatchingConfig) -> None:
     total, largest = config.sgm_P1 + config.sgm_P2, LARGEST_PATH_COST - CENSUS_BITS
     if config.sgm_P2 <= config.sgm_P1:
-        raise ConfigError(f"sgm_P2 = {config.sgm_P2} is not above sgm_P1 = {config.sgm_P1}: raise sgm_P2")
+        raise ConfigError(
+            f"sgm_P2 = {config.sgm_P2} is not above sgm_P1 = {config.sgm_P1}",
+            value=config.sgm_P2,
+            limit=config.sgm_P1,
+            remedy="raise sgm_P2",
+            settings=("sgm_P2",),
+        )
     if total > largest:
-        raise ConfigError(f"sgm_P1 + sgm_P2 = {total} is above {largest}, all that 8-bit sums can hold: lower one")
+        raise ConfigError(
+            f"sgm_P1 + sgm_P2 = {total} is above {largest}, the limit of 8-bit sums",
+            value=total,
+            limit=largest,
+            remedy="lower one of them",
+            settings=("sgm_P1", "sgm_P2"),
+        )
 
 
 @compiled("void(int64, int64, uint8[:, ::1], float32[:, ::1], float32[:, ::1])")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Semi-global matching of strips of rows: costs, paths, sums and winners, in buffers that stay in the cache."""
+"""Semi-global matching of strips of rows: costs, paths, sums and winners, in cache-sized buffers."""
 
 from __future__ import annotations
 
@@ -37,14 +37,15 @@ STEPS_PER_PX = 64
 SPECKLE_STEPS_PER_PX = 8  # 4096 disparities fit in 16 bits
 _BORDER, _UNIQUENESS = np.uint8(Reason.BORDER), np.uint8(Reason.UNIQUENESS)
 _INDEX, _TOTAL = np.uint32(0xFFFF), np.uint32(16)
-_APART = 2  # buffers of one pixel are written all the time: those of two bands must not share a cache line
+_APART = 2  # per-pixel buffers of two bands must not share a cache line (false sharing)
 
 
 class Search(NamedTuple):
-    """What is searched and required.
+    """Search range and checks.
 
-    ``uniqueness`` is the least lead over the second best, ``tolerance`` that of the left-right check in px; P2 by the
-    gray difference of neighbors; ramp is 0, 1, 2 ...; vertical paths begin ``approach_rows`` off the strip.
+    ``uniqueness`` is the minimum margin over the second best, ``tolerance`` that of the left-right check in px; P2 is
+    indexed by the gray difference of neighbors; ramp is 0, 1, 2 ...; vertical paths start ``approach_rows`` before the
+    strip.
     """
 
     max_disparity: int
@@ -57,18 +58,18 @@ class Search(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Buffers of a strip; in the matcher with one more dimension in front, so that every band has its own.
+    """Buffers of a strip; in the matcher with one more leading dimension, the band.
 
-    Directions are 1 or 3, of paths from the rows above (and as many from below); K + 2: see path_costs.py.
+    There are 1 or 3 directions from the rows above, and as many from below; K + 2: see path_costs.py.
     """
 
     raw: U8  # (W + 2, K) see cost_rows
     smooth: U8  # (3, W, K)
     cost: U8  # (rows, W, K) matching costs
     down: U8  # (directions, rows, W, K + 2) path costs from above
-    up: U8  # (directions, 2, W, K + 2) path costs from below, of two rows in turn
-    along: U8  # (2, K + 2) path costs from the left or right, of two pixels in turn
-    least_down: U8  # (directions, 2, W) the least path cost of each pixel, of two rows in turn
+    up: U8  # (directions, 2, W, K + 2) path costs from below, of two alternating rows
+    along: U8  # (2, K + 2) path costs from the left or right, of two alternating pixels
+    least_down: U8  # (directions, 2, W) minimum path cost of each pixel, of two alternating rows
     least_up: U8
     totals: U16  # (W, K) sums of path costs
     keys: U32  # (K,)
@@ -77,7 +78,7 @@ class Scratch(NamedTuple):
 
     @classmethod
     def allocate(cls, bands: int, rows: int, width: int, config: MatchingConfig) -> Scratch:
-        """Buffers of all bands, for strips of up to ``rows`` rows, approach included, and ``width`` columns."""
+        """Buffers of all bands, for strips of up to ``rows`` rows, warm-up included, and ``width`` columns."""
         count = config.num_disparities
         directions = 1 if config.sgm_paths == 4 else 3
         never = LARGEST_PATH_COST - config.sgm_P1
@@ -98,7 +99,7 @@ class Scratch(NamedTuple):
 
 
 def _on_pages(shape: tuple[int, ...], dtype: DTypeLike, fill: int = 0) -> Any:
-    """An array that begins where a page of memory does, so that vectors of its rows lie in few cache lines."""
+    """A page-aligned array, so that vectors of its rows cover few cache lines."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     memory = np.empty(size + PAGESIZE, np.uint8)
     begin = -memory.ctypes.data % PAGESIZE
@@ -108,7 +109,7 @@ def _on_pages(shape: tuple[int, ...], dtype: DTypeLike, fill: int = 0) -> Any:
 
 
 class Output(NamedTuple):
-    """Disparities (px, unfiltered), the same in coarse steps for the speckle filter, reasons and lead, (H, W)."""
+    """Disparities (px, unfiltered), the same in coarse steps for the speckle filter, reasons and margin, (H, W)."""
 
     disparity_px: F32
     coarse: I16
@@ -123,7 +124,7 @@ def _edge(image: U8, x: int, x_before: int) -> int:
 
 @compiled(allocates=False)
 def _sum_row(image: U8, i: int, search: Search, scratch: Scratch) -> None:
-    """Totals of row ``i`` of the strip over all paths but the one from the right."""
+    """Totals of row ``i`` of the strip over all paths except the one from the right."""
     least = np.uint8(0)
     for x in range(image.size):
         path = scratch.along[x % 2]
@@ -146,7 +147,7 @@ def _sum_row(image: U8, i: int, search: Search, scratch: Scratch) -> None:
 
 @compiled(allocates=False)
 def _limit_keys(keys: U32, at: int, width: int) -> bool:
-    """Takes out bids for right pixels outside the image; index 0 is right column ``at``. True if any is left."""
+    """Remove keys of right pixels outside the image; index 0 is right column ``at``. True if any remains."""
     begin, end = min(max(-at, 0), keys.size), max(min(width - at, keys.size), 0)
     if begin > 0 or end < keys.size:
         keys[:begin] = NO_KEY
@@ -160,7 +161,7 @@ def _take_winner(keys: U32, x: int, y: int, search: Search, best: U16, output: O
     at = int(winner & _INDEX)
     first = np.float32(winner >> _TOTAL)
     rival = second_key(keys, search.ramp, at)
-    second = first if rival == NO_KEY else np.float32(rival >> _TOTAL)  # who wins for want of a rival has no lead
+    second = first if rival == NO_KEY else np.float32(rival >> _TOTAL)  # without a second candidate the margin is 0
     margin = (second - first) / max(second, np.float32(1))
     index = np.rint((at + subpixel(keys, at)) * STEPS_PER_PX) / STEPS_PER_PX
     best[x] = at
@@ -172,7 +173,7 @@ def _take_winner(keys: U32, x: int, y: int, search: Search, best: U16, output: O
 
 @compiled(allocates=False)
 def _winners_row(image: U8, i: int, y: int, search: Search, scratch: Scratch, output: Output) -> None:
-    """Adds the path from the right to the totals of row ``i`` of the strip and takes the winners of image row ``y``."""
+    """Add the path from the right to the totals of strip row ``i`` and select the winners of image row ``y``."""
     width = image.size
     scratch.right_keys[:] = NO_KEY
     least = np.uint8(0)
@@ -195,7 +196,7 @@ def _winners_row(image: U8, i: int, y: int, search: Search, scratch: Scratch, ou
 
 @compiled(allocates=False)
 def _shift(n: int, directions: int) -> int:
-    """Columns that paths of direction n move in a row: vertical, and in eight paths the diagonals."""
+    """Columns by which paths of direction n shift per row: 0, and for eight paths also the diagonals."""
     return (n + 1) % 3 - 1 if directions == 3 else 0
 
 
@@ -210,7 +211,7 @@ def _match_strip(a: int, b: int, image: U8, census: U64, search: Search, scratch
     for y in range(top, b):
         i, before = y - top, max(y - 1 - top, 0)
         for n in range(directions):
-            shift = _shift(n, directions) if y > top else width  # all paths begin in the first row
+            shift = _shift(n, directions) if y > top else width  # all paths start in the first row
             old, new = s.least_down[n, 1 - i % 2], s.least_down[n, i % 2]
             rows = image[y], image[top + before]
             step_row(*rows, shift, s.cost[i], search.P1, search.P2, s.down[n, before], old, s.down[n, i], new)
@@ -253,7 +254,7 @@ def match_bands(
     scratch: Scratch,
     output: Output,
 ) -> None:
-    """Band b of all bands does its share of the strips, with its own scratch."""
+    """Match the strips of each band, with the scratch buffers of the band."""
     height = len(image)
     for band in range(first, last):
         own = Scratch(

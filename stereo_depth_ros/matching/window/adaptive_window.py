@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Adaptive windows: every pixel takes the rectangle that makes its disparity least uncertain."""
+"""Adaptive windows: for every pixel the rectangle with the least uncertain disparity."""
 
 from __future__ import annotations
 
@@ -23,49 +23,49 @@ from stereo_depth_ros.matching.window.fixed_window import WindowMatcher
 __all__ = ["AdaptiveWindowMatcher"]
 
 ITERATIONS = 4
-LARGEST_STEP_PX = np.float32(1)  # an increment is a linear estimate; a pixel is about how far it can be trusted
-SURFACE_DISTANCE = 4  # px from a pixel to those whose disparity it may take over
+LARGEST_STEP_PX = np.float32(1)  # the linear estimate of an increment is valid up to about a pixel
+SURFACE_DISTANCE = 4  # px from a pixel to those whose disparity it may adopt
 MEDIAN_SIDE = 5
 
 
 class AdaptiveWindowMatcher(SerialMatcher):
-    """Adaptive window (Kanade and Okutomi 1991, 1994) around the disparities of :class:`WindowMatcher`.
+    """Adaptive window (Kanade and Okutomi 1991, 1994), initialized by :class:`WindowMatcher`.
 
-    A pixel at distance r from the window's center, whose disparity may differ from the center's, has the difference of
-    gray values I - J with variance s^2(r) = 2 sigma^2 + af ad r: af is the power of the gradient J' in the window, ad
-    the mean of (d - d_centre)^2 / r. The increment of the disparity and its variance are
-    sum (J - I) J' / s^2 / sum J'^2 / s^2 and 1 / sum J'^2 / s^2. The window begins as 3 x 3 and grows by one pixel in
-    the direction that leaves the least variance, until every direction would raise it, leaves an image or meets a
-    pixel without disparity, or is 10 px long. All pixels take their increment at once, four times.
+    For a pixel at distance r from the window center, with a possibly different disparity, the gray-level difference
+    I - J has variance s^2(r) = 2 sigma^2 + af ad r: af is the power of the gradient J' in the window, ad
+    the mean of (d - d_center)^2 / r. The increment of the disparity and its variance are
+    sum (J - I) J' / s^2 / sum J'^2 / s^2 and 1 / sum J'^2 / s^2. The window starts as 3 x 3 and grows by one pixel in
+    the direction of least variance, until every direction would raise it, leaves an image, meets a pixel without
+    disparity, or is 10 px long. All pixels are incremented together, four times.
 
-    Two things had to be added, as the increments alone leave the start hardly better, or worse where there is little
-    texture:
+    Two extensions are needed, as the increments alone hardly improve the initial disparities, or degrade them where
+    there is little texture:
 
-    - The cameras' brightness differs: the means over the window (weighted by 1 / s^2) of I - J and of J' are taken
-      away first, which is to estimate a constant difference together with the increment.
-    - A start takes the wrong surface beside a step, as all fixed windows do, and the truth is farther away than an
-      increment is valid. So a window is grown, too, for the disparity of each pixel 4 px above, below, left and right
-      that is more than 1 px away, and of the windows that one counts under which its pixels are likeliest: the mean
-      of (I - J)^2 / s^2 + log s^2 behind the increment is least.
+    - Photometric differences: the means over the window (weighted by 1 / s^2) of I - J and of J' are subtracted first,
+      which estimates a constant gray-level offset together with the increment.
+    - Wrong surfaces: beside a step, a fixed window often selects the wrong surface, and the true disparity is beyond
+      the range of an increment. So a window is also grown for the disparity of each pixel 4 px above, below, left and
+      right that differs by more than 1 px, and the window of highest likelihood is selected: the one with the least
+      mean of (I - J)^2 / s^2 + log s^2 after the increment.
 
-    Distances are rounded to whole pixels, so that a window is known from few sums; increments are limited to 1 px;
-    between iterations goes a 5 x 5 median, as one that strayed would keep its neighbors' windows small. Pixels whose
-    3 x 3 window leaves an image keep their disparity. A window has one disparity and may be longer on one side: slanted
-    surfaces come out rough (off by 0.11 px on average at a slant of 0.05, where a fixed window is by 0.04).
+    Distances are rounded to whole pixels, so that few sums describe a window; increments are limited to 1 px; a 5 x 5
+    median follows each iteration, as outliers would keep the windows of their neighbors small. Pixels whose 3 x 3
+    window leaves an image keep their disparity. A window has one disparity and may be asymmetric, so slanted surfaces
+    become rough (mean error 0.11 px at a slant of 0.05, 0.04 px for a fixed window).
 
-    ``window_cost``, ``max_difference``, ``correlation_window_size``, ``vertical_search`` and the checks for uniqueness
-    and left and right are those of the window matcher, and tell which pixels are rejected; the rows of refined windows
-    are not shifted.
+    ``window_cost``, ``max_difference``, ``correlation_window_size``, ``vertical_search``, the uniqueness and left-right
+    checks are those of the window matcher and determine which pixels are rejected; refined windows have no row offset.
+    ``support_px`` is the window of the initial match: refined windows stop at pixels without disparity.
     """
 
     name = "adaptive_window"
     step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the search does not fit in 16-bit disparities."""
+        """Raise ConfigError if the search range does not fit in 16-bit disparities."""
         super().__init__(config)
         self._checked = WindowMatcher(dataclasses.replace(config, speckle_size=0))
-        # Windows grow over all disparities there are: pixels that the checks reject are only left out of the result.
+        # Windows grow over all disparities: pixels rejected by the checks are only removed from the result.
         unchecked = dataclasses.replace(config, speckle_size=0, uniqueness_ratio=0.0, disp12_max_diff=0)
         self._initial = WindowMatcher(unchecked)
 
@@ -102,7 +102,7 @@ class AdaptiveWindowMatcher(SerialMatcher):
 def _refine_rows(
     first: int, last: int, maps: Maps, inverse: F32, rings: I64, all_sums: F32, all_extents: I64, after: F32
 ) -> None:
-    """One iteration: disparities of a band of rows, each from the likeliest of the windows that grew around it."""
+    """One iteration: disparities of a band of rows, each from its window of highest likelihood."""
     sums, extent, closed = all_sums[first], all_extents[first, 0], all_extents[first, 1]
     before = maps[3]
     height, width = before.shape
@@ -120,7 +120,7 @@ def _refine_rows(
                 center = before[row, column]
                 if candidate > 0 and not abs(center - own) > LARGEST_STEP_PX:
                     continue
-                increment, surprise = grow_window(maps, center, y, x, inverse, rings, sums, extent, closed)
-                if surprise < least:
-                    least = surprise
+                increment, misfit = grow_window(maps, center, y, x, inverse, rings, sums, extent, closed)
+                if misfit < least:
+                    least = misfit
                     after[y, x] = center + min(max(increment, -LARGEST_STEP_PX), LARGEST_STEP_PX)

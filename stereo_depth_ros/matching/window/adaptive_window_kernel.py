@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One adaptive window: a rectangle that grows around a pixel for as long as its disparity gets more certain."""
+"""Kernel of one adaptive window: a rectangle that grows while the variance of its disparity decreases."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = ["Maps", "distances", "grow_window", "scratch"]
 Maps: TypeAlias = tuple[F32, F32, F32, F32]  # (H, W): left, right, slope of the right along the row, disparity
 
 REACH = 10  # px a window may grow in each direction: at most 21 x 21
-NOISE_POWER = np.float32(2)  # 2 sigma^2 of the gray values of one camera: sigma is one gray level
+NOISE_POWER = np.float32(2)  # 2 sigma^2 of the gray values of one camera, sigma = 1 gray level
 
-# What is summed over the pixels of each ring around the center, and over all of them behind the last ring.
+# Sums over the pixels of each ring around the center; after the last ring, over all of them.
 RESIDUAL, GRADIENT, CROSS, POWER, SQUARE, COUNT, SPREAD = range(7)
 TERMS = 7
 RINGS = TOTAL = round(REACH * 2**0.5) + 1
 
-WINDOW = 4  # sides 0..3 are up, down, left, right; behind them, the window itself
+WINDOW = 4  # sides 0..3 are up, down, left, right, followed by the window itself
 
 
 def distances() -> tuple[F32, I64]:
@@ -36,7 +36,7 @@ def distances() -> tuple[F32, I64]:
 
 
 def scratch(count: int) -> tuple[F32, I64]:
-    """Room for ``count`` windows: sums of the four sides and the window, and extents with which sides are closed."""
+    """Buffers of ``count`` windows: sums of the four sides and the window, extents and closed sides."""
     return np.zeros((count, WINDOW + 1, TERMS, RINGS + 1), np.float32), np.zeros((count, 2, 4), np.int64)
 
 
@@ -44,14 +44,14 @@ def scratch(count: int) -> tuple[F32, I64]:
 def grow_window(
     maps: Maps, center: float, y: int, x: int, inverse: F32, rings: I64, sums: F32, extent: I64, closed: I64
 ) -> tuple[np.float32, np.float32]:
-    """Grows the window around (y, x) as far as the disparity ``center`` gets more certain.
+    """Grow the window around (y, x) while the variance of the disparity ``center`` decreases.
 
     Args:
         inverse, rings: of :func:`distances`.
         sums, extent, closed: of :func:`scratch`.
 
     Returns:
-        Increment of the disparity, px, and how unlikely the window makes a pixel; inf where there is no window.
+        Increment of the disparity, px, and negative log-likelihood per pixel; inf if there is no window.
     """
     window = sums[WINDOW]
     sums[:] = 0
@@ -74,13 +74,13 @@ def grow_window(
                     best, best_precision = side, found
         if best >= 0:
             precision = best_precision
-            _take_side(maps, center, y, x, extent, best, inverse, rings, sums, closed)
+            _add_side(maps, center, y, x, extent, best, inverse, rings, sums, closed)
     sums[0] = 0
     return _estimate(window, sums[0])
 
 
 @compiled(allocates=False)
-def _take_side(
+def _add_side(
     maps: Maps,
     center: float,
     y: int,
@@ -92,14 +92,14 @@ def _take_side(
     sums: F32,
     closed: I64,
 ) -> None:
-    """Makes a side part of the window, and sums what is beside the window then."""
+    """Add a side to the window, and sum the strips next to the grown window."""
     for term in range(TERMS):
         for ring in range(RINGS + 1):
             sums[WINDOW, term, ring] += sums[side, term, ring]
     extent[side] += 1
     closed[side] = not _add_strip(maps, center, y, x, extent, side, inverse, rings, sums[side])
     end = extent[side] if side % 2 else -extent[side]
-    for across in range(2 - side // 2 * 2, 4 - side // 2 * 2):  # strips that are one pixel longer now
+    for across in range(2 - side // 2 * 2, 4 - side // 2 * 2):  # strips that became one pixel longer
         if not closed[across]:
             row, column = _beside(y, x, extent, across, end)
             closed[across] = not _add_pixel(maps, center, y, x, row, column, inverse, rings, sums[across])
@@ -109,7 +109,7 @@ def _take_side(
 def _add_strip(
     maps: Maps, center: float, y: int, x: int, extent: I64, side: int, inverse: F32, rings: I64, sums: F32
 ) -> bool:
-    """Sums the row or column next to the window on one side; false where it cannot be taken."""
+    """Sum the row or column next to the window on one side; false if it is not available."""
     sums[:] = 0
     if extent[side] == REACH:
         return False
@@ -132,11 +132,11 @@ def _beside(y: int, x: int, extent: I64, side: int, along: int) -> tuple[int, in
 def _add_pixel(
     maps: Maps, center: float, y: int, x: int, row: int, column: int, inverse: F32, rings: I64, sums: F32
 ) -> bool:
-    """Adds a pixel to sums of the window around (y, x); false where no window can hold it."""
+    """Add a pixel to sums of the window around (y, x); false if it has no disparity or is outside."""
     left, right, slope, disparity = maps
     height, width = left.shape
     shift = np.int64(np.ceil(center))
-    at = column - shift  # what is sought in the right image lies between this column and the next
+    at = column - shift  # the position in the right image is between this column and the next
     if row < 0 or row >= height or column < 0 or column >= width or at < 1 or at > width - 3:
         return False
     difference = disparity[row, column] - center
@@ -181,7 +181,7 @@ def _precision(window: F32, side: F32) -> np.float32:
 
 @compiled(allocates=False)
 def _estimate(window: F32, nothing: F32) -> tuple[np.float32, np.float32]:
-    """Increment, and mean of r^2 / s^2 + log s^2 of the pixels, r being what the estimate leaves of I - J."""
+    """Increment, and mean of r^2 / s^2 + log s^2 of the pixels, r being the residual of I - J."""
     rate = _variance_rate(window, nothing)
     residual, cross, square = np.float32(0), np.float32(0), np.float32(0)
     gradient, count, logarithm = np.float32(0), np.float32(0), np.float32(0)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Block matching: least sum of absolute differences over a square window."""
+"""Block matching: lowest sum of absolute differences over a square window."""
 
 from __future__ import annotations
 
@@ -31,29 +31,31 @@ LEFT_RIGHT = int(Reason.LEFT_RIGHT)
 
 
 class BlockMatcher(SerialMatcher):
-    """The block matching of ``cv2.StereoBM`` (Konolige 1998), computed here, with the same disparities to the last bit.
+    """Reimplementation of ``cv2.StereoBM`` (Konolige 1998) with bit-identical disparities.
 
-    Faster, because the sums of one row stay in the cache and fill the registers; and every rejected pixel has its
-    reason. In order: Sobel prefilter in x, clipped to +-``prefilter_cap`` (``prefilter_size`` has no effect on it);
-    least sum of absolute differences; texture test; uniqueness test; sub-pixel fit; with ``disp12_max_diff`` above 0
-    the left-right check of OpenCV against what the right pixels prefer; speckle filter.
+    It is faster, because the sums of one row stay in the cache and use full vectors, and every rejected pixel has a
+    reason. Steps: Sobel prefilter in x, clipped to +-``prefilter_cap`` (``prefilter_size`` has no effect); lowest sum
+    of absolute differences; texture test; uniqueness test; sub-pixel fit; with ``disp12_max_diff`` above 0 the
+    left-right check of OpenCV; speckle filter.
 
     As in OpenCV, ``uniqueness_ratio`` is a whole percentage (rounded) and ``speckle_range`` counts steps of 1/16 px.
-    Pixels whose window or search leaves an image are BORDER. OpenCV differs in the last half window of columns of a
-    negative ``min_disparity``, which it fills from windows that are clamped in the right image only, and in the
-    left-right check, where it lets such clamped windows at the left edge vote.
+    Pixels whose window or search leaves an image are BORDER. OpenCV differs for a negative ``min_disparity`` in the
+    last half window of columns, which it fills from windows clamped in the right image only, and in the left-right
+    check, where it includes such clamped windows at the left edge.
+
+    ``support_px`` is the window; the Sobel prefilter reads one more pixel on all sides.
     """
 
     name = "bm"
     step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the search does not fit in 16-bit disparities."""
+        """Raise ConfigError if the search range does not fit in 16-bit disparities."""
         check_search(config)
         super().__init__(config)
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range)
         largest_sum = config.correlation_window_size**2 * 2 * config.prefilter_cap
-        # An empty array that tells the kernel in which type to sum: 16 bits are twice as many at once.
+        # The dtype of this empty array selects the kernel: sums in 16 bits are twice as fast.
         self._sum_type: Sums = np.empty(0, np.uint16) if largest_sum < 2**16 else np.empty(0, np.uint32)
         self._filtered: U8 = np.empty((2, 0, 0), np.uint8)
         self._disparity_x16: I16 = np.empty((0, 0), np.int16)
@@ -73,7 +75,7 @@ class BlockMatcher(SerialMatcher):
         tests = (config.texture_threshold, round(config.uniqueness_ratio), config.disp12_max_diff)
         buffers = (self._sum_type, self._disparity_x16, reasons)
         values = (self._filtered, config.prefilter_cap, *search, *tests, *buffers)
-        # Every band begins by summing a whole window height.
+        # Every band starts by summing a whole window height.
         run_bands(_match_rows, rows, *values, min_rows=max(64, 2 * config.correlation_window_size))
         self._speckle_filter(self._disparity_x16, reasons)
         disparity_from_x16(self._disparity_x16, reasons, disparity_px)
@@ -82,7 +84,7 @@ class BlockMatcher(SerialMatcher):
 
 @compiled()
 def _sobel_rows(first: int, last: int, image: U8, cap: int, out: U8, side: int) -> None:
-    """Horizontal Sobel response clipped to +-cap, plus cap; rows are mirrored at the upper and lower edge."""
+    """Horizontal Sobel response clipped to +-cap, plus cap; rows are mirrored at the top and bottom."""
     height, width = image.shape
     low, high = np.int16(-cap), np.int16(cap)
     for y in range(first, last):
@@ -107,7 +109,7 @@ def _prefilter_rows(first: int, last: int, left: U8, right: U8, cap: int, out: U
 
 @compiled()
 def _slide_columns(sums: Sums, textures: I32, rows: U8, begin: int, max_disparity: int, cap: int) -> None:
-    """Adds the row that enters to the sums of every column, subtracts the one that leaves."""
+    """Add the row that enters to the sums of every column, subtract the one that leaves."""
     cast = sums.dtype.type
     for c in range(textures.size):
         x = begin + c
@@ -122,7 +124,7 @@ def _slide_columns(sums: Sums, textures: I32, rows: U8, begin: int, max_disparit
 
 @compiled()
 def _offset(before: np.int64, here: np.int64, after: np.int64) -> np.int64 | int:
-    """Sub-pixel part in 1/256 px where the costs fall and rise with equal slopes."""
+    """Sub-pixel part in 1/256 px, from two lines of opposite slope through the costs."""
     width = after + before - 2 * here + abs(after - before)
     if width == 0:
         return 0
@@ -144,7 +146,7 @@ def _search_row(
     costs: I32,
     reasons: U8,
 ) -> None:
-    """Moves the window along one row and keeps the best disparity of each pixel, or the reason against it."""
+    """Slide the window along one row; write the best disparity of each pixel, or the reason against it."""
     cast = sums.dtype.type
     most = cast(-1)
     count = np.uint64(sums.shape[1])
@@ -152,7 +154,7 @@ def _search_row(
     window = np.zeros(sums.shape[1], sums.dtype)
     texture_sum = 0
     for c in range(textures.size):
-        # The column that leaves the window; before there is one, the empty column behind the last.
+        # The column that leaves the window; at the start, the empty column after the last.
         leaves = c - 2 * half - 1 if c > 2 * half else textures.size
         plus, minus = np.uint64(c), np.uint64(leaves)
         best = most
@@ -185,7 +187,7 @@ def _search_row(
 
 @compiled()
 def _check_right(disparity_x16: I16, reasons: U8, costs: I32, y: int, tolerance: int) -> None:
-    """Marks pixels of one row whose match prefers a left pixel more than ``tolerance`` px away, at both roundings."""
+    """Mark pixels of one row whose right pixel prefers a disparity over ``tolerance`` px away, for both roundings."""
     width = disparity_x16.shape[1]
     right_costs = np.full(width, np.int32(2**31 - 1))
     right_x16 = np.zeros(width, np.int16)
@@ -229,10 +231,10 @@ def _match_rows(
     """Disparities of a band of rows, or the reason against them.
 
     ``sums[c, k]`` is the cost of column c and disparity index k over one window height: one row enters, one leaves. A
-    window is such columns over one window width. Index k counts down from the largest disparity, so that it runs
-    along the right image. So that LLVM fills the registers, sums keep their narrow type through every operation, inner
-    loops write one array each, their indices are unsigned (no wrap-around of negative ones), and no view of an array is
-    made per pixel (it would count references across threads).
+    window is the sum of such columns over one window width. Index k counts down from the largest disparity, so that it
+    increases along the right image. For vectorization, sums keep their narrow type through every operation, inner loops
+    write one array each, indices are unsigned (no wrap-around of negative ones), and no view of an array is created per
+    pixel (reference counts are atomic).
     """
     height, width = disparity_x16.shape
     max_disparity = min_disparity + num_disparities - 1

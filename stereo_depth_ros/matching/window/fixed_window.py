@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Window matching: the disparity at which two square windows are most alike."""
+"""Area correlation with square windows."""
 
 from __future__ import annotations
 
@@ -26,38 +26,43 @@ U32: TypeAlias = npt.NDArray[np.uint32]
 
 COSTS = ("sad", "ssd", "zsad", "zssd", "ncc", "zncc")
 SAD, SSD, ZSAD, ZSSD, NCC, ZNCC = range(6)
-NO_BOUND = 255  # the largest difference of gray values there is
+NO_BOUND = 255  # the largest possible gray-level difference
 
 
 class WindowMatcher(SerialMatcher):
     """Area correlation over a square window of odd side ``correlation_window_size`` (Scharstein and Szeliski 2002).
 
-    Least ``window_cost`` of the left window I and the right window J (means over the window are Im, Jm; n pixels):
+    Lowest ``window_cost`` of the left window I and the right window J (means over the window are Im, Jm; n pixels):
     sad = sum |I - J| / n, ssd = sum (I - J)^2 / n, zsad and zssd the same of I - Im and J - Jm,
-    ncc = 1 - sum I J / sqrt(sum I^2 sum J^2), zncc the same of I - Im and J - Jm. Windows are cut at the edges of both
-    images. A window without contrast has no correlation; a left pixel with nothing to correlate is TEXTURE.
-    ``max_difference`` above 0 bounds |I - J| of a pixel in sad, so that outliers do not decide.
+    ncc = 1 - sum I J / sqrt(sum I^2 sum J^2), zncc the same of I - Im and J - Jm. Windows are cropped at the edges of
+    both images. A window without contrast has no correlation; a left pixel without any correlation is TEXTURE.
+    ``max_difference`` above 0 truncates |I - J| of a pixel in sad, which limits the effect of outliers.
 
-    With ``vertical_search`` = v, the cost of a disparity is the least over right windows -v..v rows away: the search
-    region is two-dimensional, the row offset that won is not reported. The left-right check (``disp12_max_diff`` above
-    0) then asks whether another pixel of the left row claims the same column, on whichever row.
+    With ``vertical_search`` = v, the cost of a disparity is the minimum over right windows -v..v rows away; the best
+    row offset is not reported. The left-right check (``disp12_max_diff`` above 0) then tests whether another pixel of
+    the left row claims the same column in any row.
 
-    After winner, uniqueness and left-right check the disparities go through a median filter of the window's own size:
-    the errors of a window are alike over about its side. Running sums make the time independent of the window's
-    size, but for zsad, whose absolute values change with the means, and for the median (linear in the side).
+    After winner, uniqueness and left-right check, the disparities are median filtered with the size of the window, as
+    the errors of a window are correlated over about its side. Running sums make the time independent of the window
+    size, except for zsad, whose absolute values depend on the means, and for the median (linear in the side).
     ``speckle_range`` is in px.
+
+    ``support_px`` is the window.
     """
 
     name = "window"
     step_px = 1 / X16_STEPS
 
     def __init__(self, config: MatchingConfig) -> None:
-        """ConfigError where the search does not fit in 16-bit disparities, or another cost than sad is bounded."""
+        """Raise ConfigError if the search range does not fit in 16 bits, or another cost than sad is truncated."""
         check_search(config)
         if config.max_difference and config.window_cost != "sad":
             raise ConfigError(
-                f"max_difference = {config.max_difference} bounds sad, not {config.window_cost}: "
-                "take window_cost sad, or max_difference 0"
+                f"max_difference = {config.max_difference} truncates sad, not {config.window_cost}",
+                value=config.max_difference,
+                limit=0,
+                remedy="use window_cost sad, or max_difference 0",
+                settings=("max_difference", "window_cost"),
             )
         super().__init__(config)
 
@@ -72,7 +77,7 @@ class WindowMatcher(SerialMatcher):
         checks = (config.uniqueness_ratio, config.disp12_max_diff)
         cost = (COSTS.index(config.window_cost), config.max_difference or NO_BOUND)
         values = (*images, *cost, *search, *checks, disparity_x16, reasons)
-        # Every band begins by summing a whole window height.
+        # Every band starts by summing a whole window height.
         run_bands(_match_rows, left.shape[0], *values, min_rows=max(64, 2 * side))
         disparity_x16 = median_filter(disparity_x16, reasons, side)
         return finish(disparity_x16, reasons, config, self.step_px)
@@ -80,7 +85,7 @@ class WindowMatcher(SerialMatcher):
 
 @compiled()
 def _add_row(pairs: U32, singles: I64, a: U8, b: U8, kind: int, bound: int, max_disparity: int, sign: int) -> None:
-    """Adds one row (or takes it away) to the sums over the window's height of every column and disparity."""
+    """Add one row to (or subtract it from) the sums over the window height of every column and disparity."""
     width, count = pairs.shape
     limit = np.uint32(bound)
     factor = np.uint32(sign)  # modulo 2^32: -1 subtracts
@@ -118,7 +123,7 @@ def _dissimilarity(kind: int, n: int, pair: np.int64, a: int, aa: int, b: int, b
 
 @compiled()
 def _cost_row(pairs: U32, prefix: I64, kind: int, rows: int, half: int, max_disparity: int, costs: F32) -> None:
-    """Lowers ``costs`` (W, D) of one row to those of windows that are ``rows`` high; all costs but zsad."""
+    """Lower ``costs`` (W, D) of one row to those of windows of height ``rows``; all costs except zsad."""
     width, count = pairs.shape
     window = np.zeros(count, np.uint32)
     for x in range(-half, width):
@@ -144,7 +149,7 @@ def _cost_row(pairs: U32, prefix: I64, kind: int, rows: int, half: int, max_disp
 def _zsad_row(
     left: U8, right: U8, y: int, offset: int, prefix: I64, rows: int, half: int, max_disparity: int, costs: F32
 ) -> None:
-    """As :func:`_cost_row` for zsad, summed anew for every window."""
+    """As :func:`_cost_row` for zsad, summed separately for every window."""
     height, width = left.shape
     count = costs.shape[1]
     shift, total = np.empty(count, np.float32), np.empty(count, np.float32)
@@ -189,7 +194,7 @@ def _match_rows(
     disparity_x16: I16,
     reasons: U8,
 ) -> None:
-    """Disparities of a band of rows, or the reason against them; sums are integers, so that no order changes them."""
+    """Disparities of a band of rows, or the reason against them; sums are integers, independent of their order."""
     height, width = left.shape
     max_disparity = min_disparity + count - 1
     offsets = 2 * vertical + 1

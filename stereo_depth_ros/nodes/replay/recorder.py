@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TypeAlias
 
 from stereo_depth_ros.bags.writer import BagWriter
-from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.errors import OutputError
 
 __all__ = ["Recorder"]
 
@@ -24,18 +24,19 @@ class Recorder:
     """Writes into an MCAP bag while the ``with`` block lasts.
 
     :meth:`write` returns at once while fewer than 64 messages wait, and waits for the disk otherwise. When the block
-    ends in an exception the bag stays under its partial name.
+    ends in an exception there is no bag.
 
     Args:
         path: the bag to make; None records nothing.
+        overwrite: replace a bag that is there.
 
     Raises:
-        BagError: the bag cannot be made.
+        OutputError: the bag exists and ``overwrite`` is false, or it cannot be made.
     """
 
-    def __init__(self, path: Path | None) -> None:
+    def __init__(self, path: Path | None, *, overwrite: bool = False) -> None:
         # lz4: zstd takes longer over a cloud than the matcher over its pair
-        self._writer = BagWriter(path, compression="lz4", overwrite=True) if path is not None else None
+        self._writer = BagWriter(path, compression="lz4", overwrite=overwrite) if path is not None else None
         self._queue: queue.Queue[_Item | None] = queue.Queue(_QUEUE_SIZE)
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
@@ -51,8 +52,12 @@ class Recorder:
     ) -> None:
         if self._writer is None:
             return
-        self._queue.put(None)
-        self._thread.join()
+        try:
+            self._queue.put(None)
+            self._thread.join()
+        except BaseException:  # Ctrl-C while the last messages are written
+            self._writer.discard()
+            raise
         if self._error is not None and error is None:
             self._writer.__exit__(type(self._error), self._error, None)
             self._raise_error()
@@ -62,7 +67,7 @@ class Recorder:
         """Hand a serialized message to the writing thread; ``latched`` as of the bag.
 
         Raises:
-            BagError: an earlier message could not be written.
+            OutputError: an earlier message could not be written.
         """
         if self._writer is not None:
             self._raise_error()
@@ -84,4 +89,4 @@ class Recorder:
 
     def _raise_error(self) -> None:
         if self._error is not None:
-            raise BagError(f"recording stopped: {self._error}: make room on the disk") from self._error
+            raise OutputError(f"recording stopped: {self._error}: make room on the disk") from self._error

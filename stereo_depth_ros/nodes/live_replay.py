@@ -12,7 +12,7 @@ from typing import Literal
 from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.nodes.readiness import wait_until_ready
-from stereo_depth_ros.nodes.replay_node import replay
+from stereo_depth_ros.nodes.replay_node import check_recording, replay
 from stereo_depth_ros.nodes.transport import prepare_process
 from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.graph_processes import GraphProcesses
@@ -46,8 +46,10 @@ def replay_through_graph(
 
     Raises:
         BagError, TopicError: nothing to play; before any node is started.
+        OutputError: the output must not or cannot be written.
         GraphError: a node ended, or nothing comes out.
     """
+    check_recording(options)
     with BagPairs(options.selection, config.pairing) as pairs:
         transport = "compressed" if pairs.topics.compressed else "raw"
     all_parameters = {**parameters, "image_transport": transport}

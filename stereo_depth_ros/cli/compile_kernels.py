@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth compile-kernels`: the compiled kernels of every method, made now and not at the first start."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+import stereo_depth_ros.matching
+import stereo_depth_ros.messages
+import stereo_depth_ros.stages
+import stereo_depth_ros.synthetic
+from stereo_depth_ros.cli.options import new_app
+from stereo_depth_ros.cli.output import messages, prepare_kernels
+
+__all__ = ["app"]
+
+app = new_app()
+
+_PACKAGES = (
+    stereo_depth_ros.matching,
+    stereo_depth_ros.messages,
+    stereo_depth_ros.stages,
+    stereo_depth_ros.synthetic,
+)
+
+
+@app.command()
+def compile_kernels() -> None:
+    """Compile the kernels of every method now; otherwise each is compiled at the first start.
+
+    \b
+    Example:
+      stereo-depth compile-kernels
+    """
+    for package in _PACKAGES:
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
+    prepare_kernels()
+    messages.print("kernels are compiled")

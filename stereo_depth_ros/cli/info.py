@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth info`: what is in a bag, and whether it is usable for stereo depth."""
+
+from __future__ import annotations
+
+import typer
+
+from stereo_depth_ros.bags.info import inspect_bag
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.cli.options import Bag, Json, Left, Overwrite, Right, new_app
+from stereo_depth_ros.cli.output import EXIT_ERROR, messages, show
+from stereo_depth_ros.cli.tables import info_tables, info_values
+from stereo_depth_ros.files.output import check_outputs
+
+__all__ = ["app"]
+
+app = new_app()
+
+
+@app.command()
+def info(
+    bag: Bag, left: Left = None, right: Right = None, json_file: Json = None, overwrite: Overwrite = False
+) -> None:
+    """List what is in a bag, whether it is usable for stereo depth, and why not.
+
+    \b
+    Examples:
+      stereo-depth info drive.mcap
+      stereo-depth info drive.mcap --json - | jq .problems
+    """
+    check_outputs((), bag_files(bag), reports=[json_file], overwrite=overwrite)
+    found = inspect_bag(bag, left=left, right=right)
+    show(info_tables(found), info_values(found), json_file, overwrite=overwrite)
+    for text in found.warnings:
+        messages.print(f"warning: {text}")
+    for text in found.problems:
+        messages.print(f"problem: {text}")
+    if not found.usable:
+        raise typer.Exit(EXIT_ERROR)

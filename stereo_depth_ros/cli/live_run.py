@@ -1,0 +1,36 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag through a live graph that is started for it, with its progress on stderr; for replay and demo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from stereo_depth_ros.cli.output import prepare_kernels, progress_bar
+from stereo_depth_ros.config.values import Value, pipeline_config, read_params_file
+from stereo_depth_ros.offline.report import RunReport
+from stereo_depth_ros.replay.graph_processes import require_ros
+from stereo_depth_ros.replay.options import ReplayOptions
+
+__all__ = ["run_live"]
+
+
+def run_live(
+    options: ReplayOptions,
+    shape: str,
+    values: dict[str, Value],
+    params_file: Path | None,
+    health: Literal["", "watch", "correct"] = "",
+) -> RunReport:
+    """Start the nodes, play, stop the nodes; the arguments are those of ``replay_through_graph``.
+
+    Kernels are compiled here, once, so that the nodes read them from disk.
+    """
+    require_ros()
+    from stereo_depth_ros.nodes.live_replay import replay_through_graph
+
+    config = pipeline_config({**(read_params_file(params_file) if params_file else {}), **values})
+    prepare_kernels(config.matching)
+    with progress_bar(f"playing, {shape}") as progress:
+        return replay_through_graph(options, shape, values, config, progress, params_file, health)

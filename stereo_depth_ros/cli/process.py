@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth process`: depth of a bag without a graph."""
+
+from __future__ import annotations
+
+from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.writer import check_bag_output
+from stereo_depth_ros.cli.options import (
+    Bag,
+    BagOutput,
+    Duration,
+    Json,
+    Left,
+    Matcher,
+    Overwrite,
+    Params,
+    ParamsFile,
+    Right,
+    Start,
+    new_app,
+)
+from stereo_depth_ros.cli.output import parameter_files, prepare_kernels, progress_bar
+from stereo_depth_ros.cli.run_report import finish_run
+from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.offline.engine import process_bag
+
+__all__ = ["app"]
+
+app = new_app()
+
+
+@app.command()
+def process(
+    bag: Bag,
+    output: BagOutput,
+    matcher: Matcher = None,
+    param: Params = None,
+    params_file: ParamsFile = None,
+    start: Start = 0.0,
+    duration: Duration = 0.0,
+    left: Left = None,
+    right: Right = None,
+    json_file: Json = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Compute depth of a bag without a graph: the same outputs as replay, without ROS.
+
+    \b
+    Examples:
+      stereo-depth process drive.mcap -o depth.mcap
+      stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
+    """
+    values = {**(read_params_file(params_file) if params_file else {}), **parse_assignments(param or (), matcher)}
+    check_bag_output(
+        output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
+    )
+    config = pipeline_config(values)
+    prepare_kernels(config.matching)
+    selection = BagSelection(bag, left, right, start, duration)
+    with progress_bar("computing") as progress:
+        result = process_bag(selection, output, config, progress, overwrite=overwrite)
+    finish_run(result, json_file, overwrite)

@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth replay`: a bag through the live graph."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import typer
+
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.writer import check_bag_output
+from stereo_depth_ros.cli.live_run import run_live
+from stereo_depth_ros.cli.options import (
+    Bag,
+    BagOutput,
+    Duration,
+    Json,
+    Left,
+    Matcher,
+    Overwrite,
+    Params,
+    ParamsFile,
+    Right,
+    Separate,
+    Start,
+    new_app,
+)
+from stereo_depth_ros.cli.output import parameter_files
+from stereo_depth_ros.cli.run_report import finish_run
+from stereo_depth_ros.config.values import parse_assignments
+from stereo_depth_ros.replay.options import ReplayOptions
+
+__all__ = ["app"]
+
+app = new_app()
+
+
+@app.command()
+def replay(
+    bag: Bag,
+    output: BagOutput,
+    separate: Separate = False,
+    matcher: Matcher = None,
+    param: Params = None,
+    params_file: ParamsFile = None,
+    rate: Annotated[float, typer.Option(min=0, help="At most so many times the bag's speed; 0 is no limit.")] = 0.0,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Send by the clock; what is late is dropped.")] = False,
+    clock: Annotated[bool, typer.Option("--clock", help="Publish /clock; the nodes use it.")] = False,
+    loop: Annotated[int, typer.Option(min=1, help="How often the bag is played.")] = 1,
+    start: Start = 0.0,
+    duration: Duration = 0.0,
+    left: Left = None,
+    right: Right = None,
+    in_flight: Annotated[int, typer.Option(min=1, max=100, help="Pairs that may be on their way.")] = 1,
+    health: Annotated[bool, typer.Option("--health", help="Run calibration_monitor as well.")] = False,
+    auto_correct: Annotated[
+        bool, typer.Option("--auto-correct", help="Rectify with what calibration_monitor corrects.")
+    ] = False,
+    json_file: Json = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Play a bag through the live graph, in this ROS_DOMAIN_ID, and record what comes out.
+
+    The next pair is sent when all outputs of the one before have come: nothing is lost, unless --realtime asks for it.
+
+    \b
+    Examples:
+      stereo-depth replay drive.mcap -o depth.mcap
+      stereo-depth replay drive.mcap -o depth.mcap --separate --matcher sgbm --param disparity_range:=128
+      stereo-depth replay drive.mcap -o depth.mcap --auto-correct --param health_rate:=0
+      stereo-depth replay drive.mcap -o depth.mcap --realtime --rate 0.5 --clock --start 10 --duration 5
+    """
+    options = ReplayOptions(
+        bag=str(bag),
+        output=str(output),
+        overwrite=overwrite,
+        rate=rate,
+        realtime=realtime,
+        clock=clock,
+        loop=loop,
+        start_seconds=start,
+        duration_seconds=duration,
+        left_topic=left or "",
+        right_topic=right or "",
+        in_flight=in_flight,
+    )
+    shape, values = "separate" if separate else "fused", parse_assignments(param or (), matcher)
+    watch: Literal["", "watch", "correct"] = "watch" if health else ""
+    if auto_correct or values.get("auto_correct"):
+        watch = "correct"
+    check_bag_output(
+        output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
+    )
+    result = run_live(options, shape, values, params_file, watch)
+    finish_run(result, json_file, overwrite)
