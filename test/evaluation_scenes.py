@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small scenes with truth for tests of the evaluation, in the layouts of the datasets."""
+"""Small scenes with truth for tests of the evaluation, in the layouts of datasets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FAR_PX, NEAR_PX = 6, 20
 
 
 def pair(seed: int = 1) -> tuple[U8, U8, F32]:
-    """Left, right and truth: a near rectangle before a far plane, both with noise as texture."""
+    """Left, right and truth: a near rectangle in front of a far plane, both with a noise texture."""
     rng = np.random.default_rng(seed)
     far, near = (rng.integers(20, 230, (HEIGHT, WIDTH + NEAR_PX), np.uint8) for _ in range(2))
     truth_px = np.full((HEIGHT, WIDTH), FAR_PX, np.float32)
@@ -41,7 +41,7 @@ def write_scene(folder: Path, seed: int = 1) -> Path:
 
 
 def write_kitti(folder: Path) -> Path:
-    """KITTI 2015: one pair with truth, one frame without; pixels that one camera sees only; an object."""
+    """KITTI 2015: one pair with truth, one frame without; occluded pixels; an object."""
     left, right, truth_px = pair()
     for name in ("000000_10.png", "000000_11.png"):
         write(folder / "image_2" / name, left)

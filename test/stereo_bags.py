@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small stereo bags for tests, made from a synthetic sequence."""
+"""Small stereo bags for tests, from a synthetic sequence."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write_truth_bag(path: Path, frames: int) -> SyntheticSequence:
 def write_odd_bag(
     path: Path, frames: int, *, compressed: bool = False, without_right: Collection[int] = (), right_late_ns: int = 0
 ) -> None:
-    """Topics of other names, one camera info for the whole bag, images without a partner, late right images."""
+    """Other topic names, one camera info for the whole bag, images without a partner, late right images."""
     made, types = sequence(frames), RosbagsTypes()
     name = "image/compressed" if compressed else "image"
     with BagWriter(path) as bag:
@@ -57,7 +57,7 @@ def write_odd_bag(
 
 
 def later(path: Path, target: Path, seconds: int) -> Path:
-    """The same bag, all of it so many seconds later: nodes that go on running take its stamps for new ones."""
+    """The same bag with all stamps later by so many seconds, so that running nodes accept them as new."""
     with BagReader(path) as reader, BagWriter(target, compression="none", chunk_size=100_000) as writer:
         for message in reader.messages():
             stamp_ns = cdr_stamp_ns(message.data) + seconds * 10**9
@@ -89,15 +89,15 @@ def cut(path: Path, target: Path, share: float) -> Path:
 
 
 def messages_of(path: Path, topic: str) -> dict[int, bytes]:
-    """CDR bytes by stamp; fails where a stamp comes twice."""
+    """CDR bytes by stamp; fails where a stamp occurs twice."""
     with BagReader(path) as reader:
         found = [(cdr_stamp_ns(message.data), message.data) for message in reader.messages([topic])]
-    assert len(dict(found)) == len(found), f"a stamp comes twice on {topic}"
+    assert len(dict(found)) == len(found), f"a stamp occurs twice on {topic}"
     return dict(found)
 
 
 def median_relative_depth_error(path: Path, made: SyntheticSequence) -> float:
-    """Of the depth images of a bag against the truth of the sequence of the same stamps."""
+    """Error of the depth images of a bag against the truth of the sequence at the same stamps."""
     errors = []
     truths = {made.stamp_ns(index): made[index].truth_depth_m for index in range(len(made))}
     with BagReader(path) as reader:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a bag: usable, or every reason why not."""
+"""Inspection of a bag: usable, or every reason why not."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write(
     infos: int = 1,
     rig: StereoRig = RIG,
 ) -> BagInfo:
-    """Five left images, ``rights`` right ones, ``infos`` camera infos a camera."""
+    """Five left images, ``rights`` right ones, ``infos`` camera infos per camera."""
     with BagWriter(path) as bag:
         for index in range(5):
             stamp = 1_000_000_000 + index * PERIOD_NS
@@ -103,7 +103,7 @@ def test_a_calibration_that_is_refused(tmp_path: Path) -> None:
     assert "/left/camera_info" in info.problems[0]
 
 
-def test_images_that_the_infos_are_not_for(tmp_path: Path) -> None:
+def test_images_of_another_size_than_their_camera_infos(tmp_path: Path) -> None:
     info = write(tmp_path / "bag.mcap", right_size=(HEIGHT, WIDTH + 2))
     assert len(info.problems) == 1
     assert (
@@ -119,7 +119,7 @@ def test_images_that_cannot_be_decoded(tmp_path: Path) -> None:
         bag.write_raw("/right/image_raw", "sensor_msgs/msg/Image", b"\0\1\0\0", 6)
     problems = "\n".join(inspect_bag(tmp_path / "bag.mcap").problems)
     assert "/left/image_raw: encoding = 'magic' is not supported" in problems
-    assert "/right/image_raw at 6 ns: 4 bytes are no sensor_msgs/msg/Image" in problems
+    assert "/right/image_raw at 6 ns: 4 bytes are not a sensor_msgs/msg/Image" in problems
 
 
 def test_compressed_images_and_a_cut_bag(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_compressed_images_and_a_cut_bag(tmp_path: Path) -> None:
     assert info.warnings == (f"{cut} is cut in the middle: the 4 messages before the cut are read",)
 
 
-def test_what_is_no_bag_is_an_error(tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_bag_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="does not exist"):
         inspect_bag(tmp_path / "nowhere")
 
@@ -150,5 +150,5 @@ def test_a_real_bag_without_a_stereo_pair(stereo_data: Path) -> None:
     info = inspect_bag(stereo_data / "bags" / "mvtb_test_ros2")
     assert info.topics["/imu/data"].count == 3
     assert info.problems == (
-        "no stereo pair among the image topics /camera/compressed, /camera/raw: name them with --left and --right",
+        "no stereo pair among the image topics /camera/compressed, /camera/raw: name both image topics",
     )

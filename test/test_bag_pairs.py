@@ -31,7 +31,7 @@ def odd_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_pairs_have_equal_stamps_and_infos_stamped_as_their_images(odd_bag: Path) -> None:
+def test_pairs_have_equal_stamps_and_camera_infos_with_the_stamps_of_their_images(odd_bag: Path) -> None:
     with BagPairs(BagSelection(odd_bag), EXACT) as bag:
         pairs = list(bag.pairs())
         assert (bag.topics.left_image, bag.topics.right_image) == ("/cam0/image", "/cam1/image")
@@ -43,11 +43,11 @@ def test_pairs_have_equal_stamps_and_infos_stamped_as_their_images(odd_bag: Path
         assert stamps == [pair.stamp_ns] * 4
     types = RosbagsTypes()
     info = types.deserialize(pairs[2].right_info, "sensor_msgs/msg/CameraInfo")
-    assert info.p[3] == pytest.approx(made.rig.right.P[0, 3]), "the only info of the bag, at its beginning"
+    assert info.p[3] == pytest.approx(made.rig.right.P[0, 3]), "the only camera info of the bag, at its beginning"
 
 
 def test_rectified_images_are_not_rectified_again(tmp_path: Path) -> None:
-    """A driver that rectifies sends the camera infos of the raw cameras with image_rect."""
+    """A driver that rectifies publishes the camera infos of the raw cameras with image_rect."""
     path, frame, rig, types = tmp_path / "rect.mcap", sequence(1)[0], sequence(1).rig, RosbagsTypes()
     with BagWriter(path) as bag:
         for side, image, camera in (("left", frame.pair.left, rig.left), ("right", frame.pair.right, rig.right)):
@@ -122,8 +122,9 @@ def test_bag_without_stereo_names_bag_and_topics(tmp_path: Path) -> None:
     path, types = tmp_path / "mono.mcap", RosbagsTypes()
     with BagWriter(path) as bag:
         bag.write("/cam/image", image_message(types, sequence(1)[0].pair.left.pixels, "mono8", 5, "cam"), 5)
-    with pytest.raises(TopicError, match=r"mono\.mcap: no stereo pair among the image topics /cam/image"):
+    with pytest.raises(TopicError, match=r"mono\.mcap: no stereo pair among the image topics /cam/image") as caught:
         BagPairs(BagSelection(path), EXACT)
+    assert (caught.value.subject, caught.value.settings) == (str(path), ("left", "right"))
 
 
 def test_bag_without_camera_infos_is_refused(tmp_path: Path) -> None:
@@ -131,7 +132,7 @@ def test_bag_without_camera_infos_is_refused(tmp_path: Path) -> None:
     with BagWriter(path) as bag:
         for side in ("left", "right"):
             bag.write(f"/{side}/image", image_message(types, frame.pair.left.pixels, "mono8", 5, side), 5)
-    with pytest.raises(TopicError, match=r"no CameraInfo belongs to /left/image.*record the camera infos too"):
+    with pytest.raises(TopicError, match=r"no CameraInfo topic belongs to /left/image, .*record the camera infos too"):
         BagPairs(BagSelection(path), EXACT)
 
 

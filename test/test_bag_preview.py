@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The image of a bag: left image and depth of one stamp."""
+"""The preview of a bag: left image and depth of one stamp."""
 
 from __future__ import annotations
 

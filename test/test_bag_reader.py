@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of every kind and state: whole, cut, empty, old, compressed."""
+"""Bags of every format and condition: complete, cut, empty, old, compressed."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_folder_without_metadata_and_its_bare_file_are_read(tmp_path: Path) ->
     assert read(folder / "bag.db3") == IN_ORDER
 
 
-def test_metadata_with_other_qos_than_the_file_hides_nothing(tmp_path: Path) -> None:
+def test_all_messages_are_read_where_metadata_has_another_qos_than_the_file(tmp_path: Path) -> None:
     metadata = write_rosbag2(tmp_path / "bag") / "metadata.yaml"
     qos = "offered_qos_profiles: '- {history: 3, depth: 7, reliability: 1, durability: 2}'"
     metadata.write_text(metadata.read_text().replace("offered_qos_profiles: []", qos))
@@ -103,7 +103,7 @@ def test_topics_span_and_selection(tmp_path: Path) -> None:
         assert [m.log_time_ns for m in reader.messages(["/b"])] == STAMPS["/b"]
         assert [m.log_time_ns for m in reader.messages(None, 30, 60)] == [30, 40, 50, 60]
         assert not list(reader.messages([]))
-        with pytest.raises(BagError, match=r"has no topic /c: it has /a, /b"):
+        with pytest.raises(BagError, match=r"bag.mcap: has no topic /c: choose among /a, /b"):
             reader.messages(["/a", "/c"])
 
 
@@ -113,7 +113,7 @@ def test_messages_become_objects(tmp_path: Path) -> None:
     assert (image.height, image.width, image.header.stamp.nanosec) == (30, 41, 10)
 
 
-def test_a_cut_mcap_gives_every_whole_message_before_the_cut(tmp_path: Path) -> None:
+def test_a_cut_mcap_gives_every_complete_message_before_the_cut(tmp_path: Path) -> None:
     whole = write_mcap(tmp_path / "bag.mcap", "none", chunk_size=10**6).read_bytes()  # one chunk, cut inside
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: whole.index(cdr(50)) + 500])
@@ -129,7 +129,7 @@ def test_a_cut_mcap_gives_every_whole_message_before_the_cut(tmp_path: Path) -> 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_a_cut_chunk_gives_its_beginning(tmp_path: Path, compression: str) -> None:
     with BagWriter(tmp_path / "bag.mcap", compression=compression, chunk_size=10**6) as bag:
-        for stamp in range(400):  # 500 kB, above the 128 kB that zstd and the 64 kB that lz4 unpack at once
+        for stamp in range(400):  # 500 kB, above the 128 kB that zstd and the 64 kB that lz4 decompress in one step
             bag.write_raw("/a", IMAGE, cdr(stamp % 7), stamp)
     whole = (tmp_path / "bag.mcap").read_bytes()
     assert whole.count(compression.encode()) == 2  # one chunk and its index
@@ -137,13 +137,13 @@ def test_a_cut_chunk_gives_its_beginning(tmp_path: Path, compression: str) -> No
     cut.write_bytes(whole[: len(whole) // 2])
     with BagReader(cut) as reader:
         messages = list(reader.messages())
-    # half of the file, less the block that is cut and the tables at the end of the file
+    # half of the file, without the block that is cut and the index at the end of the file
     assert 80 < len(messages) < 200
     assert all(m.log_time_ns == index and m.data == cdr(index % 7) for index, m in enumerate(messages))
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_wherever_an_mcap_is_cut_nothing_crashes_or_is_made_up(tmp_path: Path, compression: str) -> None:
+def test_an_mcap_cut_anywhere_gives_a_prefix_of_its_messages(tmp_path: Path, compression: str) -> None:
     whole = write_mcap(tmp_path / "bag.mcap", compression).read_bytes()
     cut = tmp_path / "cut.mcap"
     counts = []
@@ -172,10 +172,21 @@ def test_a_cut_mcap_without_chunks_and_a_tail_of_zeros(tmp_path: Path) -> None:
 
 
 def test_a_damaged_chunk_ends_a_bag_without_index(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "bag.mcap", chunk_size=1)  # a message a chunk
+    path = write_mcap(tmp_path / "bag.mcap", chunk_size=1)  # one message per chunk
     data = bytearray(path.read_bytes())
     second = data.index(b"\x28\xb5\x2f\xfd", data.index(b"\x28\xb5\x2f\xfd") + 1)  # magic of zstd
     data[second : second + 4] = b"\0\0\0\0"
+    path.write_bytes(data[:-30])
+    with BagReader(path) as reader:
+        assert reader.truncated
+        assert [m.log_time_ns for m in reader.messages()] == [20]
+
+
+def test_a_damaged_length_in_a_chunk_ends_a_bag_without_index(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", chunk_size=1)
+    data = bytearray(path.read_bytes())
+    second = data.index(b"\x28\xb5\x2f\xfd", data.index(b"\x28\xb5\x2f\xfd") + 1)
+    data[second - 8 : second] = b"\xff" * 8  # the length of the compressed data is in front of them
     path.write_bytes(data[:-30])
     with BagReader(path) as reader:
         assert reader.truncated
@@ -188,11 +199,11 @@ def test_a_damaged_chunk_of_an_indexed_bag_is_an_error(tmp_path: Path) -> None:
     at = data.index(b"\x28\xb5\x2f\xfd")
     data[at : at + 4] = b"\0\0\0\0"
     path.write_bytes(data)
-    with BagReader(path) as reader, pytest.raises(BagError, match=r"bag\.mcap is damaged"):
+    with BagReader(path) as reader, pytest.raises(BagError, match=r"bag\.mcap: is damaged"):
         list(reader.messages())
 
 
-def test_an_mcap_without_the_ros2_profile_is_read_whole(tmp_path: Path) -> None:
+def test_an_mcap_without_the_ros2_profile_is_read_completely(tmp_path: Path) -> None:
     path = tmp_path / "bag.mcap"
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.LZ4)
@@ -209,7 +220,7 @@ def test_a_cut_mcap_inside_a_folder(tmp_path: Path) -> None:
     folder = write_rosbag2(tmp_path / "bag", mcap=True)
     file = folder / "bag.mcap"
     whole = file.read_bytes()
-    file.write_bytes(whole[:-100])  # the index alone is lost
+    file.write_bytes(whole[:-100])  # only the index is lost
     with BagReader(folder) as reader:
         assert (reader.truncated, len(list(reader.messages()))) == (False, 7)
     file.write_bytes(whole[: whole.index(b"\x0f" + (4).to_bytes(8, "little"))])  # and the end of the data
@@ -222,7 +233,7 @@ def test_a_cut_sqlite_file_is_an_error_with_a_remedy(tmp_path: Path) -> None:
     data = file.read_bytes()
     for size in (len(data) // 2, 3000, 90):
         file.write_bytes(data[:size])
-        with pytest.raises(BagError, match=r"bag\.db3 is (cut or )?damaged.*") as caught, BagReader(file) as reader:
+        with pytest.raises(BagError, match=r"bag\.db3: is (cut or )?damaged.*") as caught, BagReader(file) as reader:
             list(reader.messages())
         assert "bag.db3" in str(caught.value)
 
@@ -272,8 +283,8 @@ def test_ros1_messages_become_cdr(tmp_path: Path) -> None:
     assert read_back.header.frame_id == "left" and np.array_equal(read_back.data, pixels)
 
 
-def test_what_is_no_bag_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match=r"nowhere\.mcap does not exist"):
+def test_a_path_that_is_not_a_bag_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"nowhere\.mcap: does not exist"):
         BagReader(tmp_path / "nowhere.mcap")
     with pytest.raises(BagError, match=r"is not a bag, it holds no \.mcap or \.db3 file"):
         BagReader(tmp_path)
@@ -284,21 +295,21 @@ def test_what_is_no_bag_is_refused_by_name(tmp_path: Path) -> None:
         ("text.mcap", b"just text" * 9, "is not an MCAP file"),
         ("text.db3", b"just text" * 90, r"is cut or damaged.*sqlite3 text\.db3 \.recover"),
         ("text.bag", b"just text" * 9, "is cut or damaged.*rosbag reindex"),
-        ("text.db3.zstd", b"just text" * 9, "cannot be unpacked"),
+        ("text.db3.zstd", b"just text" * 9, "cannot be decompressed"),
     ):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(BagError, match=f"{name} {reason}"):
+        with pytest.raises(BagError, match=f"{name}: {reason}"):
             BagReader(tmp_path / name)
 
 
 def test_a_bag_without_messages_and_a_folder_without_its_file(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "none.mcap"):
         pass
-    with pytest.raises(BagError, match=r"none\.mcap holds no messages: record it again"):
+    with pytest.raises(BagError, match=r"none\.mcap: holds no messages: record it again"):
         BagReader(tmp_path / "none.mcap")
     folder = write_rosbag2(tmp_path / "bag")
     (folder / "bag.db3").rename(folder / "other.db3")
-    with pytest.raises(BagError, match=r"bag lacks bag\.db3, which its metadata\.yaml names"):
+    with pytest.raises(BagError, match=r"bag: lacks bag\.db3, which its metadata\.yaml lists"):
         BagReader(folder)
 
 
@@ -308,7 +319,7 @@ def test_a_compressed_file_without_metadata(tmp_path: Path) -> None:
     assert read(tmp_path / "bag.mcap.zstd") == IN_ORDER
 
 
-def test_bags_are_known_by_their_files(tmp_path: Path) -> None:
+def test_bags_are_recognized_by_their_file_names(tmp_path: Path) -> None:
     assert not is_bag(tmp_path / "nowhere.mcap")
     for number, name in enumerate(("x.mcap", "x.db3", "x.mcap.zstd", "x.db3.zstd")):
         folder = tmp_path / f"bag{number}"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that are written: conventions of the format, and what a broken run leaves behind."""
+"""Writing of bags: conventions of the format, and what an interrupted run leaves."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_bag_follows_the_conventions_of_ros2_and_mcap(tmp_path: Path) -> None:
     schema, channel, first = items[0]
     assert (schema.name, schema.encoding, channel.message_encoding) == (IMAGE, "ros2msg", "cdr")
     assert channel.metadata["offered_qos_profiles"] == ""
-    # the hash that ROS 2 Jazzy itself has for sensor_msgs/msg/Image
+    # the hash of ROS 2 Jazzy for sensor_msgs/msg/Image
     assert channel.metadata["topic_type_hash"] == (
         "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
     )
@@ -60,7 +60,9 @@ def test_a_schema_holds_every_nested_definition(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("compression", "stored"), [("zstd", "zstd"), ("lz4", "lz4"), ("none", "")])
-def test_chunks_are_compressed_as_asked_and_rosbags_reads_them(tmp_path: Path, compression: str, stored: str) -> None:
+def test_chunks_have_the_requested_compression_and_rosbags_reads_them(
+    tmp_path: Path, compression: str, stored: str
+) -> None:
     path = tmp_path / "out.mcap"
     with BagWriter(path, compression=compression, chunk_size=200) as bag:
         for stamp in range(1, 6):
@@ -76,7 +78,7 @@ def test_chunks_are_compressed_as_asked_and_rosbags_reads_them(tmp_path: Path, c
         ]
 
 
-def test_an_existing_bag_is_replaced_only_when_asked(tmp_path: Path) -> None:
+def test_an_existing_bag_is_replaced_only_on_request(tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     path.write_bytes(b"old")
     with pytest.raises(BagError, match=r"out\.mcap: already exists: remove it"):
@@ -88,7 +90,7 @@ def test_an_existing_bag_is_replaced_only_when_asked(tmp_path: Path) -> None:
         assert reader.message_count == 1
 
 
-def test_a_broken_run_leaves_nothing(tmp_path: Path) -> None:
+def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     with pytest.raises(KeyboardInterrupt), BagWriter(path) as bag:
         bag.write("/image", make_image(1), 1)
@@ -96,7 +98,7 @@ def test_a_broken_run_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_that_breaks_before_its_first_message_leaves_nothing(tmp_path: Path) -> None:
+def test_a_run_interrupted_before_its_first_message_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "out.mcap"):
         raise KeyboardInterrupt
     assert not list(tmp_path.iterdir())
@@ -111,9 +113,9 @@ def test_closing_twice_is_harmless(tmp_path: Path) -> None:
 
 
 def test_bad_arguments_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="compression 'gzip' is none of zstd, lz4, none"):
+    with pytest.raises(BagError, match="compression 'gzip' is not one of zstd, lz4, none"):
         BagWriter(tmp_path / "out.mcap", compression="gzip")
-    with pytest.raises(BagError, match=r"out\.bag: bags are written as MCAP"):
+    with pytest.raises(BagError, match=r"out\.bag: cannot be written, bags are written as MCAP"):
         BagWriter(tmp_path / "out.bag")
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(BagError, match=r"file/out\.mcap: cannot be written"):

@@ -97,7 +97,7 @@ def test_info_of_a_bag_without_pairs_reports_the_problem(run: Run, tmp_path: Pat
 def test_known_errors_are_one_line_and_exit_code_1(run: Run, bag: Path, tmp_path: Path) -> None:
     code, out, err = run("info", tmp_path / "none.mcap")
     assert (code, out) == (1, "")
-    assert err.startswith("error: ") and "none.mcap does not exist" in err and err.count("\n") == 1
+    assert err.startswith("error: ") and "none.mcap: does not exist" in err and err.count("\n") == 1
     assert "in.mcap: would overwrite an input: write to another file" in run("process", bag, "-o", bag)[2]
     assert "does not end in .mcap" in run("process", bag, "-o", tmp_path / "o.bag")[2]
     assert "did you mean 'speckle_size'" in run("process", bag, "-o", tmp_path / "o.mcap", "-p", "speckle_siz:=3")[2]
@@ -168,7 +168,7 @@ def test_convert_images_reports_skipped_images(run: Run, tmp_path: Path) -> None
     text = " ".join(err.split())
     assert code == 0
     assert "2 pairs written" in text and "2 images skipped" in text
-    assert "left1.png has no right image beside it" in text and "right4.png has no left image beside it" in text
+    assert "left1.png: skipped, it has no right image" in text and "right4.png: skipped, it has no left image" in text
 
 
 @pytest.mark.parametrize("command", ["info", "replay", "process", "demo", "parameters", "synthesize", "convert kitti"])

@@ -185,7 +185,7 @@ def test_a_bag_that_is_cut_is_examined_up_to_there(run: Run, tmp_path: Path) -> 
 
 def test_nothing_to_examine_is_one_line(run: Run, tmp_path: Path) -> None:
     code, out, err = run(tmp_path / "none.mcap")
-    assert (code, out) == (1, "") and "none.mcap does not exist" in err and err.count("\n") == 1
+    assert (code, out) == (1, "") and "none.mcap: does not exist" in err and err.count("\n") == 1
     lonely = variant(
         tmp_path / "lonely.mcap", lambda topic, message: (topic, message) if topic == "/left/image_raw" else None
     )

@@ -91,7 +91,7 @@ def test_files_that_are_not_a_rig(run: Run, rig_file: Path) -> None:
     right.unlink()
     code, _, err = run(rig_file)
     assert code == 1
-    assert "no right.yaml is beside it" in " ".join(err.split())
+    assert "there is no right.yaml in its folder" in " ".join(err.split())
 
 
 def test_plot_has_a_line_for_each_baseline() -> None:

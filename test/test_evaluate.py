@@ -78,8 +78,8 @@ def test_range_that_is_set_is_used_and_reported(run: Run, tmp_path: Path) -> Non
 
 
 def test_confidence_is_measured_and_plotted(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Sure:
-        """Block matching that is less sure where it is wrong."""
+    class Confident:
+        """Block matching with low confidence where it is wrong."""
 
         def __init__(self, inner: Matcher) -> None:
             self.config, self._inner = inner.config, inner
@@ -90,7 +90,7 @@ def test_confidence_is_measured_and_plotted(run: Run, tmp_path: Path, monkeypatc
             confidence = np.where(np.isnan(found.disparity_px), 0, np.where(wrong, 0.25, 0.75)).astype(np.float32)
             return MatchResult(found.disparity_px, found.reasons, found.step_px, confidence)
 
-    monkeypatch.setattr(evaluator, "create_matcher", lambda *how: Sure(create_matcher(*how)))
+    monkeypatch.setattr(evaluator, "create_matcher", lambda *how: Confident(create_matcher(*how)))
     write_scene(tmp_path / "one")
     files = ("--json", tmp_path / "r.json", "--plots", tmp_path / "p")
     code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, *files)
@@ -141,7 +141,7 @@ def test_invalid_scenes_are_skipped_with_a_warning(run: Run, tmp_path: Path) -> 
     assert "good" in out
     lines = err.splitlines()
     assert len(lines) == 4 and lines[-1].startswith("error: 3 skipped")
-    assert lines[0].startswith("warning: scaled skipped: the truth's scale looks wrong: it is about 4 times")
+    assert lines[0].startswith("warning: scaled skipped: the scale of the truth looks wrong, it is about 4 times")
     assert lines[1].startswith("warning: small skipped: sizes differ: left 170x96, right 170x96, truth 168x96")
     assert lines[2].startswith("warning: swapped skipped: cameras look swapped")
     code, out, err = run(tmp_path / "swapped", "--matcher", "bm", *SMALL)
@@ -173,7 +173,7 @@ def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> N
     )
     assert "none: does not exist" in error(tmp_path / "none", "--matcher", "bm")
     (tmp_path / "empty").mkdir()
-    assert "empty has no scene with truth" in error(tmp_path / "empty", "--matcher", "bm")
+    assert "empty: has no scene with truth" in error(tmp_path / "empty", "--matcher", "bm")
     for option in ("--json", "--csv"):
         assert f"folder {tmp_path / 'no'} does not exist" in error(
             tmp_path / "one", "--matcher", "bm", option, tmp_path / "no" / "r"
@@ -185,14 +185,14 @@ def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> N
 
 def test_usage(run: Run, tmp_path: Path) -> None:
     assert run(tmp_path)[0] == 2  # no method
-    assert run("--matcher", "bm")[0] == 2  # no place
+    assert run("--matcher", "bm")[0] == 2  # no folder or bag
     code, out, _ = run("--help")
     assert code == 0 and "stereo-depth evaluate Motorcycle-perfect --matcher sgbm" in out
     assert "smallest multiple of 16" in " ".join(out.split())
 
 
 @pytest.mark.real_data
-def test_tsukuba_and_cones_against_figures_worked_out_apart(run: Run, stereo_data: Path, tmp_path: Path) -> None:
+def test_tsukuba_and_cones_against_independent_figures(run: Run, stereo_data: Path, tmp_path: Path) -> None:
     tsukuba = stereo_data / "middlebury2001" / "tsukuba"
     places = (tsukuba, stereo_data / "middlebury2003")
     code, out, err = run(*places, "--matcher", "sgbm", "--json", tmp_path / "r.json")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The evaluator: the search it gives to methods, how it takes their time, and every figure by hand."""
+"""The evaluator: search range, timing, and every figure by hand."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OBJECT = np.array([[0, 0, 0, 0, 1], [0, 0, 0, 0, 1]], np.bool_)
 
 
 class StubMatcher:
-    """Answers every pair with the same disparities."""
+    """Returns the same disparities for every pair."""
 
     name, step_px = "stub", 1 / 16
 
@@ -74,7 +74,7 @@ def test_figures_by_hand(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
         "avg": 11.5 / 7,
         "rms": math.sqrt((0.0625 + 0.5625 + 9 + 36 + 2.25) / 7),
         "a50": 0.75,
-        "a90": 3 + 0.4 * 3,  # of 0, 0, 0.25, 0.75, 1.5, 3, 6: 0.9 x 6 = 5.4 steps behind the first
+        "a90": 3 + 0.4 * 3,  # of 0, 0, 0.25, 0.75, 1.5, 3, 6: 0.9 x 6 = 5.4 steps after the first
         "d1": 100 * 1 / 7,  # 6 px of 50; 3 px are not above 3
         "d1_all": 100 * 3 / 9,
         "d1_bg": 0,
@@ -118,7 +118,7 @@ def test_time_is_the_median_without_the_first_call(monkeypatch: pytest.MonkeyPat
     made = use(monkeypatch, seconds=(0.2, 0.01, 0.01, 0.2, 0.03, 0.2))
     evaluation = evaluate("room", scene, "stub", MatchingConfig())
     assert (made[0].calls, evaluation.runs) == (6, 5)
-    assert 30 <= evaluation.ms < 80  # the mean of the five is 90; sleep is never short, but long on a busy machine
+    assert 30 <= evaluation.ms < 80  # the mean of the five is 90; sleep is never shorter, but longer on a busy machine
     assert evaluation.ms_per_megapixel == pytest.approx(evaluation.ms / 10e-6)
     assert evaluation.ms_per_million_disparities == pytest.approx(evaluation.ms / (10e-6 * 64))
 
@@ -164,7 +164,7 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
     with pytest.raises(ImageError, match="5 x 2 px"):
         evaluate("room", scene, "bm", MatchingConfig())
     use(monkeypatch, found=FOUND[:1])
-    with pytest.raises(ImageError, match=r"stub gives \(1, 5\), the image is \(2, 5\)"):
+    with pytest.raises(ImageError, match=r"stub returns \(1, 5\), the image is \(2, 5\)"):
         evaluate("room", scene, "stub", MatchingConfig())
 
 
@@ -172,7 +172,7 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
 def test_real_methods_on_a_scene_of_whole_disparities(matcher: str) -> None:
     evaluation = evaluate("planes", make_scene(*pair()), matcher, MatchingConfig(correlation_window_size=9))
     assert evaluation.config.num_disparities == 32 and NEAR_PX < 32
-    # Left of 32 px nothing is searched; windows over the edges of the near rectangle may err.
+    # The 32 px at the left are not searched; windows across the edges of the near rectangle may be wrong.
     assert 0.65 < evaluation.errors.density < 0.85
     assert evaluation.errors.median_px <= 1 / 16 and evaluation.errors.bad_1 < 6
     assert evaluation.nonocc.bad_1 < evaluation.errors.bad_1

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which image files make a pair: by their names, whatever else is in the folder."""
+"""Stereo pairs of image files by their names."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def found(folder: Path, left: str | None = None, right: str | None = None) -> li
     [
         ("left/left01.png", "right/right01.png"),
         ("left/cam0_0001.png", "right/cam1_0001.png"),
-        ("left/cam1_0001.png", "right/cam0_0001.png"),  # the folder tells the side
+        ("left/cam1_0001.png", "right/cam0_0001.png"),  # the folder gives the side
         ("left/left_turn.png", "right/left_turn.png"),
         ("left1.png", "right01.png"),
         ("left01.PNG", "right01.png"),
@@ -56,7 +56,7 @@ def test_names_of_a_pair(tmp_path: Path, left: str, right: str) -> None:
         ("left10.png", "right1.png"),
     ],
 )
-def test_names_that_make_no_pair(tmp_path: Path, left: str, right: str) -> None:
+def test_names_that_are_not_a_pair(tmp_path: Path, left: str, right: str) -> None:
     with pytest.raises(BagError, match="no left image has the number of a right one, such as"):
         find_image_pairs(touch(tmp_path, left, right))
 
@@ -70,10 +70,10 @@ def test_numbers_are_compared_as_numbers_and_order_the_pairs(tmp_path: Path) -> 
         ("left9.png", "right009.png"),
         ("left10.png", "right010.png"),
     ]
-    assert pairs.left_out == [tmp_path / "left1.png", tmp_path / "right100.png"]
+    assert pairs.skipped == [tmp_path / "left1.png", tmp_path / "right100.png"]
     assert pairs.warnings == [
-        f"{tmp_path / 'left1.png'} has no right image beside it: it is left out",
-        f"{tmp_path / 'right100.png'} has no left image beside it: it is left out",
+        f"{tmp_path / 'left1.png'}: skipped, it has no right image",
+        f"{tmp_path / 'right100.png'}: skipped, it has no left image",
     ]
 
 
@@ -90,10 +90,10 @@ def test_two_files_of_one_frame_are_refused(tmp_path: Path, one: str, other: str
     with pytest.raises(BagError) as error:
         find_image_pairs(tmp_path)
     assert one in str(error.value) and other in str(error.value)
-    assert "are the left image of one pair: remove one or rename it" in str(error.value)
+    assert "are both the left image of one pair: remove one or rename it" in str(error.value)
 
 
-def test_equal_names_go_before_digits_for_cameras(tmp_path: Path) -> None:
+def test_equal_names_are_preferred_over_digits_for_cameras(tmp_path: Path) -> None:
     touch(tmp_path, "left_cam0_1.png", "left_cam1_1.png", "right_cam1_1.png")
     assert found(tmp_path) == [("left_cam1_1.png", "right_cam1_1.png")]
     (tmp_path / "right_cam1_1.png").rename(tmp_path / "right_cam2_1.png")
@@ -101,31 +101,31 @@ def test_equal_names_go_before_digits_for_cameras(tmp_path: Path) -> None:
         find_image_pairs(tmp_path)
 
 
-def test_a_second_image_of_a_frame_without_a_partner_is_left_out(tmp_path: Path) -> None:
+def test_a_second_image_of_a_frame_without_a_partner_is_skipped(tmp_path: Path) -> None:
     touch(tmp_path, "left1.png", "left01.png", "left2.png", "right2.png")
     assert found(tmp_path) == [("left2.png", "right2.png")]
-    assert len(find_image_pairs(tmp_path).left_out) == 2
+    assert len(find_image_pairs(tmp_path).skipped) == 2
 
 
-def test_files_that_are_no_pictures(tmp_path: Path) -> None:
+def test_other_files_and_masks_are_ignored(tmp_path: Path) -> None:
     touch(
         tmp_path, "left1.png", "right1.png", "left.yaml", "right.yaml", "left1.txt", "mask_left.png", "mask_right.png"
     )
     touch(tmp_path, "masks/left/1.png", "masks/right/1.png", "._left1.png", "._right1.png", "rows.png")
     pairs = find_image_pairs(tmp_path)
-    assert found(tmp_path) == [("left1.png", "right1.png")] and not pairs.left_out
+    assert found(tmp_path) == [("left1.png", "right1.png")] and not pairs.skipped
     assert pairs.warnings == []
 
 
-def test_a_name_with_both_sides_is_told(tmp_path: Path) -> None:
+def test_a_name_with_both_sides_is_reported(tmp_path: Path) -> None:
     touch(tmp_path, "left1.png", "right1.png", "left_right_2.png")
     pairs = find_image_pairs(tmp_path)
-    assert pairs.left_out == [tmp_path / "left_right_2.png"]
-    assert pairs.warnings == [f"{tmp_path / 'left_right_2.png'} names the left and the right camera: it is left out"]
+    assert pairs.skipped == [tmp_path / "left_right_2.png"]
+    assert pairs.warnings == [f"{tmp_path / 'left_right_2.png'}: skipped, it names the left and the right camera"]
 
 
 def test_patterns(tmp_path: Path) -> None:
     touch(tmp_path, "a/x1.png", "a/x2.png", "b/y02.png", "b/y01.png", "b/z1.png", "left1.png", "right1.png")
     assert found(tmp_path, "a/x*.png", "b/y*.png") == [("a/x1.png", "b/y01.png"), ("a/x2.png", "b/y02.png")]
-    with pytest.raises(BagError, match=r"1 images as left1\.png and none of the right camera"):
+    with pytest.raises(BagError, match=r"1 images such as left1\.png and none of the right camera"):
         find_image_pairs(tmp_path, "left*", "nothing*")

@@ -186,7 +186,7 @@ def test_deserialize_returns_what_was_serialized() -> None:
 def test_deserialize_refuses_truncated_bytes(cut: int) -> None:
     types = RosbagsTypes()
     data = types.serialize(_image(types))[:cut]
-    with pytest.raises(MessageError, match=rf"^{cut} bytes are no sensor_msgs/msg/Image: .*record it again"):
+    with pytest.raises(MessageError, match=rf"^{cut} bytes are not a sensor_msgs/msg/Image .*record it again"):
         types.deserialize(data, "sensor_msgs/msg/Image")
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics against numbers worked out by hand."""
+"""Metrics against numbers computed by hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.evaluation.metrics import depth_errors, disparity_errors
 
 NAN = np.nan
-# Errors 0, 0.5, 0.75, 1.5, 4 where both are known; one hole; one pixel without truth (inf) and one with neither.
+# Errors 0, 0.5, 0.75, 1.5, 4 where both are known; one hole; one pixel without truth (inf) and one without both.
 TRUTH = np.array([[10, 20, 30, 40], [50, 60, np.inf, NAN]], np.float32)
 FOUND = np.array([[10, 20.5, 29.25, 41.5], [46, NAN, 7, NAN]], np.float32)
 
@@ -35,7 +35,7 @@ def test_disparity_errors_by_hand() -> None:
 
 
 def test_error_quantiles_by_hand() -> None:
-    errors = disparity_errors(FOUND, TRUTH)  # five errors: the quantile q lies 4 q behind the first
+    errors = disparity_errors(FOUND, TRUTH)  # five errors: the quantile q is 4 q after the first
     assert errors.a90_px == pytest.approx(1.5 + 0.6 * 2.5)
     assert errors.a95_px == pytest.approx(1.5 + 0.8 * 2.5)
     assert errors.a99_px == pytest.approx(1.5 + 0.96 * 2.5)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags without a graph: outputs against the truth, what is written beside them, and what is left out."""
+"""Offline processing of bags: outputs against the truth, provenance, skipped pairs."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def test_every_pair_gives_every_output_with_the_depth_of_the_truth(bags: tuple[P
     assert {"rectify", "match", "depth"} <= set(result.stages_ms)
 
 
-@pytest.mark.parametrize("name", [name for name in MATCHERS if name != "onnx"])  # which needs a network
+@pytest.mark.parametrize("name", [name for name in MATCHERS if name != "onnx"])  # needs a network
 def test_every_matcher_by_name(bags: tuple[Path, Path], name: str) -> None:
     values = {**PARAMETERS, **parse_assignments([], name)}
     result = process_bag(BagSelection(bags[0], duration_seconds=0.05), bags[1], pipeline_config(values), overwrite=True)
     assert result.score is not None and (result.pairs, result.lost) == (1, 0)
-    assert result.score.median_px < 0.5  # some tell whole pixels only
+    assert result.score.median_px < 0.5  # some give whole pixels only
     assert (result.score.valid_fraction > 0.3) == (name != "features")
 
 
@@ -74,7 +74,7 @@ def test_outputs_have_frames_encodings_and_a_cloud_that_agrees_with_the_depth(ba
     assert first["/depth/camera_info"].k[0] == pytest.approx(made.rig.left.P[0, 0])
 
 
-def test_what_was_used_is_written_beside_the_outputs(bags: tuple[Path, Path]) -> None:
+def test_provenance_is_written_with_the_outputs(bags: tuple[Path, Path]) -> None:
     process_bag(BagSelection(bags[0]), bags[1], CONFIG, overwrite=True)
     with bags[1].open("rb") as file:
         (record,) = [item for item in make_reader(file).iter_metadata() if item.name == "stereo_depth_ros"]
@@ -99,18 +99,18 @@ def write_with_wrong_image(path: Path, bad: tuple[int, ...]) -> None:
                 bag.write(f"/{side}/image_raw", image_message(types, pixels, "mono8", stamp, side), stamp)
 
 
-def test_pair_that_is_refused_is_left_out_and_told(tmp_path: Path) -> None:
+def test_refused_pair_is_skipped_and_reported(tmp_path: Path) -> None:
     write_with_wrong_image(tmp_path / "in.mcap", bad=(1,))
     result = process_bag(BagSelection(tmp_path / "in.mcap"), tmp_path / "out.mcap", CONFIG)
     made = sequence(3)
     assert sorted(messages_of(tmp_path / "out.mcap", "/disparity")) == [made.stamp_ns(0), made.stamp_ns(2)]
-    assert (result.pairs, result.left_out) == (3, 1)
+    assert (result.pairs, result.skipped) == (3, 1)
     (warning,) = result.warnings
     assert "pair 1700000000.100000000" in warning and f"{WIDTH}x{HEIGHT - 2}" in warning
 
 
-def test_nothing_that_can_be_processed_is_an_error_and_leaves_no_bag(tmp_path: Path) -> None:
+def test_bag_without_a_pair_that_can_be_processed_is_an_error_and_writes_no_bag(tmp_path: Path) -> None:
     write_with_wrong_image(tmp_path / "in.mcap", bad=(0, 1, 2))
-    with pytest.raises(BagError, match=r"no pair could be processed: pair 1700000000\.0+ left out: .*148"):
+    with pytest.raises(BagError, match=r"no pair could be processed: pair 1700000000\.0+ skipped: .*148"):
         process_bag(BagSelection(tmp_path / "in.mcap"), tmp_path / "out.mcap", CONFIG)
     assert not (tmp_path / "out.mcap").exists()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags through live nodes: every pair once, the bytes of the offline engine, and what is said when one is missing."""
+"""Bags through live nodes: every pair once, the bytes of the offline engine, errors of a missing or failed node."""
 
 from __future__ import annotations
 
@@ -113,9 +113,7 @@ def test_fused_gives_every_pair_once_with_the_bytes_of_the_offline_engine(
     assert any(stage.endswith(": match") for stage in result.stages_ms)
 
 
-def test_rounds_of_a_loop_are_stamped_later_and_equal_otherwise(
-    graph: GraphProcesses, bag: Path, tmp_path: Path
-) -> None:
+def test_rounds_of_a_loop_differ_in_their_stamps_only(graph: GraphProcesses, bag: Path, tmp_path: Path) -> None:
     from stereo_depth_ros.nodes.replay_node import replay
 
     path = later(bag, tmp_path / "in.mcap", seconds=10)
@@ -125,7 +123,7 @@ def test_rounds_of_a_loop_are_stamped_later_and_equal_otherwise(
     found = messages_of(tmp_path / "loop.mcap", "/disparity")
     stamps = sorted(found)
     assert {after - before for before, after in itertools.pairwise(stamps)} == {100_000_000}
-    pixels = [found[stamp][-60_000:] for stamp in stamps]  # before them each message holds its stamp, twice
+    pixels = [found[stamp][-60_000:] for stamp in stamps]  # the bytes before hold the stamp, twice
     assert pixels[:FRAMES] == pixels[FRAMES : 2 * FRAMES] == pixels[2 * FRAMES :]
 
 
@@ -140,7 +138,7 @@ def test_cut_bag_is_played_to_the_cut_with_a_warning(graph: GraphProcesses, bag:
     assert any("cut in the middle" in text for text in result.warnings)
 
 
-def test_realtime_sends_by_the_clock(graph: GraphProcesses, bag: Path, tmp_path: Path) -> None:
+def test_realtime_publishes_at_the_rate(graph: GraphProcesses, bag: Path, tmp_path: Path) -> None:
     from stereo_depth_ros.nodes.replay_node import replay
 
     path = later(bag, tmp_path / "in.mcap", seconds=30)
@@ -163,7 +161,7 @@ def test_replay_node_plays_with_ros_parameters_and_ends_with_0(
     assert len(messages_of(output, "/points2")) == 2
 
 
-def test_replay_node_refuses_to_play_nothing() -> None:
+def test_replay_node_without_a_bag_is_an_error() -> None:
     command = [sys.executable, "-m", "stereo_depth_ros.nodes.replay_node"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
@@ -221,11 +219,11 @@ def test_second_publisher_of_an_output_is_refused(bag: Path, monkeypatch: pytest
         rclpy.shutdown(context=context)
 
 
-def test_node_that_ends_is_named_with_the_end_of_its_log(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_node_that_exits_is_named_with_the_end_of_its_log(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from stereo_depth_ros.nodes.live_replay import replay_through_graph
 
     monkeypatch.setenv("ROS_DOMAIN_ID", domain(1))
-    with pytest.raises(GraphError, match=r"(?s)stereo_depth_node ended with exit code 1.*disparity_rang"):
+    with pytest.raises(GraphError, match=r"(?s)stereo_depth_node: exited with code 1.*disparity_rang"):
         replay_through_graph(ReplayOptions(bag=str(bag)), "fused", {"disparity_rang": 32}, CONFIG, lambda *_: None)
 
 
@@ -264,5 +262,5 @@ def test_all_nodes_end_with_0_when_they_are_stopped(tmp_path: Path, monkeypatch:
 
 
 def test_unknown_shape_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(GraphError, match="shape 'round' is none of fused, separate"):
+    with pytest.raises(GraphError, match="shape 'round' is not one of fused, separate"):
         GraphProcesses("round", {}, tmp_path)

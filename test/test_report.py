@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Counts, percentiles, stage timings, JSON; and what a pair tracker counts."""
+"""Reports of runs and the pair tracker: counts, percentiles, stage timings, JSON."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from stereo_depth_ros.nodes.replay.tracker import PairTracker
-from stereo_depth_ros.offline.report import OutputStats, ReplayResult, percentile, stage_timings
+from stereo_depth_ros.offline.report import OutputStats, RunReport, percentile, stage_timings
 
 
-def result_of(**changes: object) -> ReplayResult:
+def report_of(**changes: object) -> RunReport:
     values: dict[str, object] = {
         "bag": Path("in.mcap"),
         "output": None,
@@ -24,7 +24,7 @@ def result_of(**changes: object) -> ReplayResult:
         "outputs": {"disparity": OutputStats(2, 1, (10.0, 30.0)), "points2": OutputStats(3, 0, (1.0, 2.0, 4.0))},
         "wall_s": 1.5,
     }
-    return ReplayResult(**{**values, **changes})  # type: ignore[arg-type]
+    return RunReport(**{**values, **changes})  # type: ignore[arg-type]
 
 
 def test_percentile_interpolates_between_the_two_nearest_values() -> None:
@@ -33,17 +33,17 @@ def test_percentile_interpolates_between_the_two_nearest_values() -> None:
     assert math.isnan(percentile([], 50))
 
 
-def test_result_counts_losses_over_all_outputs_and_pairs_a_second() -> None:
-    result = result_of()
-    assert result.lost == 1
-    assert result.frames_per_second == 2.0
-    assert result.outputs["disparity"].p50_ms == 20.0
-    assert math.isnan(result_of(wall_s=0.0).frames_per_second)
+def test_report_counts_losses_over_all_outputs_and_pairs_per_second() -> None:
+    report = report_of()
+    assert report.lost == 1
+    assert report.frames_per_second == 2.0
+    assert report.outputs["disparity"].p50_ms == 20.0
+    assert math.isnan(report_of(wall_s=0.0).frames_per_second)
 
 
 def test_json_holds_plain_values_and_null_for_nan() -> None:
-    result = result_of(wall_s=0.0, outputs={"disparity": OutputStats(0, 3)}, stages_ms={"match": (8.0, 9.0)})
-    values = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    report = report_of(wall_s=0.0, outputs={"disparity": OutputStats(0, 3)}, stages_ms={"match": (8.0, 9.0)})
+    values = json.loads(json.dumps(report.to_json(), allow_nan=False))
     assert values["bag"] == "in.mcap"
     assert values["outputs"] == {"disparity": {"received": 0, "lost": 3, "p50_ms": None, "p95_ms": None}}
     assert values["frames_per_second"] is None
@@ -67,7 +67,7 @@ def test_tracker_counts_each_output_of_a_pair_once() -> None:
     assert tracker.stats() == {"disparity": OutputStats(1, 0, (2.5,)), "points2": OutputStats(1, 0, (4.0,))}
 
 
-def test_tracker_knows_a_pair_by_the_stamp_of_either_eye() -> None:
+def test_tracker_recognizes_a_pair_by_the_stamp_of_either_camera() -> None:
     tracker = PairTracker(["disparity", "right/image_rect"])
     tracker.sent(1_000, 1_200, now_ns=0)
     assert tracker.pending == 1
@@ -76,7 +76,7 @@ def test_tracker_knows_a_pair_by_the_stamp_of_either_eye() -> None:
     assert tracker.pending == 0
 
 
-def test_latency_of_a_pair_that_is_sent_again_counts_from_the_last_time() -> None:
+def test_latency_of_a_pair_that_is_sent_again_counts_from_the_last_sending() -> None:
     tracker = PairTracker(["disparity", "points2"])
     tracker.sent(1_000, 1_000, now_ns=0)
     tracker.sent_again(1_000, now_ns=8_000_000)
@@ -85,7 +85,7 @@ def test_latency_of_a_pair_that_is_sent_again_counts_from_the_last_time() -> Non
     assert [pair.topics for pair in tracker.give_up(sent_before_ns=1)] == [("points2",)], "sent first at 0"
 
 
-def test_tracker_gives_up_what_is_overdue_and_says_what_was_missing() -> None:
+def test_tracker_gives_up_overdue_pairs_and_reports_the_missing_outputs() -> None:
     tracker = PairTracker(["disparity", "points2"])
     tracker.sent(1_000, 1_000, now_ns=100)
     tracker.sent(2_000, 2_000, now_ns=200)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rig that paths name."""
+"""Rigs of calibration files, folders and bags."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def test_a_bag_without_camera_infos(tmp_path: Path) -> None:
         read_rig([tmp_path / "b.mcap"])
 
 
-def test_paths_that_name_no_rig(folder: Path) -> None:
-    with pytest.raises(CalibrationError, match="3 paths: give LEFT"):
+def test_paths_without_a_rig(folder: Path) -> None:
+    with pytest.raises(CalibrationError, match="3 paths, not 1 or 2: give LEFT"):
         read_rig([folder] * 3)
-    with pytest.raises(CalibrationError, match=r"none\.yaml does not exist"):
+    with pytest.raises(CalibrationError, match=r"none\.yaml: does not exist"):
         read_rig([folder / "none.yaml"])
     (folder / "right.yaml").unlink()
-    with pytest.raises(CalibrationError, match=r"left\.yaml is one camera and no right\.yaml is beside it"):
+    with pytest.raises(CalibrationError, match=r"left\.yaml: is one camera, and there is no right\.yaml in its folder"):
         read_rig([folder / "left.yaml"])
     write_camera(folder / "head.yaml", RIG.left, "head")
-    with pytest.raises(CalibrationError, match=r"head\.yaml is one camera and its name tells neither camera"):
+    with pytest.raises(CalibrationError, match=r"head\.yaml: is one camera, and its name has neither left nor right"):
         read_rig([folder / "head.yaml"])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sample bag is what its origin says: of its size, usable, and byte for byte what the generator makes."""
+"""The sample bag is of limited size, usable, and equal to the frames of the generator."""
 
 from __future__ import annotations
 

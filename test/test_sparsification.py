@@ -28,7 +28,7 @@ def test_curve_and_areas_by_hand() -> None:
 
 def test_equal_confidences_count_as_random_order() -> None:
     np.testing.assert_allclose(curve_of([1, 1, 0], [0, 4, 8]).error, [2, 2, 4])
-    np.testing.assert_allclose(curve_of([1, 1, 0], [4, 0, 8]).error, [2, 2, 4])  # whatever their order
+    np.testing.assert_allclose(curve_of([1, 1, 0], [4, 0, 8]).error, [2, 2, 4])  # in any order
     constant = curve_of([0.5] * 5, [0, 0, 9, 9, 2])
     assert constant.area == pytest.approx(constant.random_area) == pytest.approx(4)
 
@@ -52,10 +52,10 @@ def test_no_pixels_have_no_curve() -> None:
 
 
 @pytest.mark.parametrize(
-    ("confidence", "told"), [([0.5, 1.2], r"0\.5\.\.1\.2"), ([-0.1, 1], "-0.1"), ([np.nan, 1], "nan")]
+    ("confidence", "found"), [([0.5, 1.2], r"0\.5\.\.1\.2"), ([-0.1, 1], "-0.1"), ([np.nan, 1], "nan")]
 )
-def test_confidence_outside_0_to_1_is_refused(confidence: list[float], told: str) -> None:
-    with pytest.raises(ImageError, match=f"confidence is .*{told}.* within 0..1"):
+def test_confidence_outside_0_to_1_is_refused(confidence: list[float], found: str) -> None:
+    with pytest.raises(ImageError, match=f"confidence is .*{found}.* within 0..1"):
         curve_of(confidence, [0, 0])
 
 

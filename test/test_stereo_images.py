@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of images of folders and bags, before there is a calibration."""
+"""Image pairs of folders and bags for calibration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stereo_depth_ros.messages.image import image_message
 
 
 def write(folder: Path, names: list[str]) -> Path:
-    """Images that hold their number."""
+    """Images whose gray level counts up from 10."""
     for number, name in enumerate(names):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -43,7 +43,7 @@ def values(pairs: list[ImagePair]) -> list[tuple[str, int, int]]:
         ["01_left.png", "02_left.png", "01_right.png", "02_right.png"],
     ],
 )
-def test_names_of_eyes(tmp_path: Path, names: list[str]) -> None:
+def test_names_of_cameras(tmp_path: Path, names: list[str]) -> None:
     images = open_stereo_images(write(tmp_path, names))
     assert len(images) == 2
     assert not images.dense
@@ -56,14 +56,14 @@ def test_patterns(tmp_path: Path) -> None:
     assert values(list(images)) == [("x1.png", 10, 13), ("x2.png", 11, 12)]
 
 
-def test_a_picture_without_a_partner_is_told(tmp_path: Path) -> None:
+def test_an_image_without_a_partner_is_reported(tmp_path: Path) -> None:
     images = open_stereo_images(write(tmp_path, ["left1.png", "left2.png", "right1.png"]))
     assert len(images) == 1
-    assert images.warnings == [f"{tmp_path / 'left2.png'} has no right image beside it: it is left out"]
+    assert images.warnings == [f"{tmp_path / 'left2.png'}: skipped, it has no right image"]
 
 
 def test_frame_numbers_do_not_name_a_camera(tmp_path: Path) -> None:
-    """image_0.png in left/ is frame 0, not the left one of two cameras."""
+    """image_0.png in left/ is frame 0, not camera 0."""
     names = [f"{side}/image_{number}.png" for side in ("left", "right") for number in range(3)]
     assert [found[1:] for found in values(list(open_stereo_images(write(tmp_path, names))))] == [
         (10, 13),
@@ -72,7 +72,7 @@ def test_frame_numbers_do_not_name_a_camera(tmp_path: Path) -> None:
     ]
 
 
-def test_pictures_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_images_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     names = ["left1.png", "left2.png", "left10.png", "right1.png", "right2.png", "right10.png"]
     assert [found[0] for found in values(list(open_stereo_images(write(tmp_path, names))))] == [
         "left1.png",
@@ -81,14 +81,17 @@ def test_pictures_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     ]
 
 
-def test_what_to_do_without_names_of_cameras_is_told(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="or give --left and --right patterns"):
+def test_errors_name_the_patterns_as_a_remedy(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="or give patterns for both cameras") as caught:
         open_stereo_images(write(tmp_path, ["left1.png", "right2.png"]))
-    with pytest.raises(BagError, match=r"a1\.png is a left and a right image: give patterns that no file matches both"):
+    assert caught.value.settings == ("left", "right")
+    with pytest.raises(
+        BagError, match=r"a1\.png: matches the left and the right pattern: give patterns that no file matches both"
+    ):
         open_stereo_images(write(tmp_path / "same", ["a1.png", "a2.png"]), "a*.png", "a*.png")
 
 
-def test_colour_pictures_come_grey(tmp_path: Path) -> None:
+def test_color_images_are_converted_to_gray(tmp_path: Path) -> None:
     for name in ("left1.png", "right1.png"):
         cv2.imwrite(str(tmp_path / name), np.full((4, 6, 3), (0, 0, 200), np.uint8))
     (pair,) = open_stereo_images(tmp_path)
@@ -101,7 +104,7 @@ def test_folders_without_pairs(tmp_path: Path) -> None:
         open_stereo_images(tmp_path / "none")
     with pytest.raises(BagError, match=r"no images of a left and a right camera: name them left\*\.png"):
         open_stereo_images(tmp_path)
-    with pytest.raises(BagError, match=r"2 images as left1\.png and none of the right camera"):
+    with pytest.raises(BagError, match=r"2 images such as left1\.png and none of the right camera"):
         open_stereo_images(write(tmp_path / "one", ["left1.png", "left2.png"]))
     with pytest.raises(BagError, match=r"no left image has the number of a right one"):
         open_stereo_images(write(tmp_path / "odd", ["left1.png", "right2.png"]))
@@ -110,7 +113,7 @@ def test_folders_without_pairs(tmp_path: Path) -> None:
 
 
 def test_bag(tmp_path: Path) -> None:
-    """Without partner, late by up to 5 ms, and with camera infos that are not looked at."""
+    """An image without a partner, right images late by less than 5 ms, camera infos that are ignored."""
     write_odd_bag(tmp_path / "b.mcap", 4, without_right=[1], right_late_ns=2_000_000)
     images = open_stereo_images(tmp_path / "b.mcap")
     assert images.dense

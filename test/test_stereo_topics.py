@@ -13,7 +13,7 @@ IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "Comp
 
 
 def topics(*names: str) -> dict[str, str]:
-    """Types as drivers have them: .../compressed is compressed, whatever says info is one."""
+    """Types by name: .../compressed is a CompressedImage, a name with info is a CameraInfo."""
     return {n: INFO if "info" in n else COMPRESSED if n.endswith("compressed") else IMAGE for n in names}
 
 
@@ -32,12 +32,12 @@ def topics(*names: str) -> dict[str, str]:
         ("/cam9/image", "/cam10/image", "/cam9/camera_info", "/cam10/camera_info"),
     ],
 )
-def test_names_of_eyes(left: str, right: str, left_info: str, right_info: str) -> None:
+def test_names_of_cameras(left: str, right: str, left_info: str, right_info: str) -> None:
     found = find_stereo_topics(topics("/rear/image", right_info, right, left, left_info, "/rear/camera_info"))
     assert found == StereoTopics(left, right, left_info, right_info, compressed=False, rectified=False)
 
 
-def test_the_better_of_several_pairs() -> None:
+def test_the_best_of_several_pairs() -> None:
     raw = ["/left/image_raw", "/right/image_raw"]
     packed = ["/left/image_raw/compressed", "/right/image_raw/compressed"]
     rectified = ["/left/image_rect", "/right/image_rect"]
@@ -51,7 +51,7 @@ def test_the_better_of_several_pairs() -> None:
         assert (found.compressed, found.rectified) == (best is packed, best is rectified)
 
 
-def test_a_pair_with_infos_wins_over_a_raw_one_without() -> None:
+def test_a_pair_with_camera_infos_is_preferred_over_a_raw_one_without() -> None:
     found = find_stereo_topics(
         topics("/a/cam0/image", "/a/cam1/image", "/b/left/image_rect", "/b/right/image_rect")
         | topics("/b/left/camera_info", "/b/right/camera_info")
@@ -59,43 +59,43 @@ def test_a_pair_with_infos_wins_over_a_raw_one_without() -> None:
     assert (found.left_image, found.left_info) == ("/b/left/image_rect", "/b/left/camera_info")
 
 
-def test_infos_that_are_not_siblings_are_found_by_likeness() -> None:
+def test_camera_infos_that_are_not_siblings_are_found_by_similarity() -> None:
     found = find_stereo_topics(
         topics("/front/left", "/front/right", "/rear/info/left", "/rear/info/right", "/front/info_l", "/front/info_r")
     )
     assert (found.left_info, found.right_info) == ("/front/info_l", "/front/info_r")
 
 
-def test_infos_that_are_not_there() -> None:
+def test_missing_camera_infos() -> None:
     found = find_stereo_topics(topics("/cam0/image_raw", "/cam1/image_raw", "/imu_info"))
     assert (found.left_info, found.right_info) == (None, None)
 
 
-def test_given_names_win() -> None:
+def test_given_names_are_used() -> None:
     names = topics("/left/image_raw", "/right/image_raw", "/x/up", "/x/down", "/x/camera_info", "/a/left", "/a/right")
     assert find_stereo_topics(names, left="/x/up", right="/left/image_raw").left_image == "/x/up"
     assert find_stereo_topics(names, left="/a/left").right_image == "/a/right"
     assert find_stereo_topics(names, right="/right/image_raw").left_image == "/left/image_raw"
-    found = find_stereo_topics(names, left="/right/image_raw", right="/left/image_raw")  # the user knows better
+    found = find_stereo_topics(names, left="/right/image_raw", right="/left/image_raw")  # given names are not exchanged
     assert found.left_image == "/right/image_raw"
 
 
 @pytest.mark.parametrize(
     ("names", "left", "right", "match"),
     [
-        ([], None, None, r"no stereo pair among the image topics none: name them with --left and --right"),
-        (["/a", "/b"], None, None, r"no stereo pair among the image topics /a, /b: name them"),
+        ([], None, None, r"no stereo pair among the image topics none: name both image topics"),
+        (["/a", "/b"], None, None, r"no stereo pair among the image topics /a, /b: name both"),
         (["/left/a", "/right/b"], None, None, r"no stereo pair among the image topics /left/a, /right/b"),
         (["/left/a", "/right/a/compressed"], None, None, "no stereo pair"),
         (["/cam0", "/cam1", "/cam2"], None, None, r"2 stereo pairs are equally good \(/cam0 with /cam1; /cam1 with"),
         (["/left", "/right"], "/left", "/left", "left and right are the same topic /left"),
-        (["/left", "/right"], "/west", None, "no topic /west: image topics are /left, /right"),
-        (["/left", "/right"], None, "/east", "no topic /east: image topics are /left, /right"),
+        (["/left", "/right"], "/west", None, "no topic /west: choose among the image topics /left, /right"),
+        (["/left", "/right"], None, "/east", "no topic /east: choose among the image topics /left, /right"),
         (
             ["/left", "/info"],
             "/info",
             None,
-            "topic /info is sensor_msgs/msg/CameraInfo, not an image: choose among /left",
+            "topic /info is sensor_msgs/msg/CameraInfo, not an image: choose among the image topics /left",
         ),
         (["/left", "/up"], "/up", None, "no partner for /up among the image topics /left, /up"),
         (
@@ -106,6 +106,8 @@ def test_given_names_win() -> None:
         ),
     ],
 )
-def test_refusals_say_what_is_there(names: list[str], left: str | None, right: str | None, match: str) -> None:
-    with pytest.raises(TopicError, match=match):
+def test_errors_list_the_topics(names: list[str], left: str | None, right: str | None, match: str) -> None:
+    with pytest.raises(TopicError, match=match) as caught:
         find_stereo_topics(topics(*names), left, right)
+    assert caught.value.settings == ("left", "right")
+    assert caught.value.remedy and caught.value.remedy not in caught.value.problem

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Synthetic scenes: truth against closed forms, images against truth, equal bytes every time."""
+"""Synthetic scenes: truth against closed forms, images against truth, reproducible bytes."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_slanted_plane_has_its_analytic_depth_from_the_moving_camera() -> None:
     np.testing.assert_allclose(truth[inside], depth_m[inside], rtol=1e-7)
 
 
-def test_sphere_is_met_at_distance_minus_radius() -> None:
+def test_sphere_is_hit_at_distance_minus_radius() -> None:
     depth_m, _ = depth_of(Sphere((0.0, 0.0, 3.0), 0.4))
     assert depth_m[50, 70] == pytest.approx(2.6, abs=1e-12)  # the ray along the axis
     y, x = np.indices(depth_m.shape)
@@ -93,7 +93,7 @@ def test_sphere_is_met_at_distance_minus_radius() -> None:
     np.testing.assert_allclose(depth_m[hit], (3.0 - np.sqrt(root[hit])) / squared[hit], rtol=1e-12)
 
 
-def test_pole_has_its_closed_form_and_ends_where_its_axis_ends() -> None:
+def test_cylinder_has_its_closed_form_and_ends_with_its_axis() -> None:
     depth_m, _ = depth_of(Cylinder((0.0, -0.2, 2.0), (0.0, 0.5, 0.0), 0.03))
     middle = depth_m[:, 70]
     y_m = (np.arange(HEIGHT) - 50) / 140 * 1.97
@@ -105,7 +105,7 @@ def test_pole_has_its_closed_form_and_ends_where_its_axis_ends() -> None:
     assert np.isfinite(depth_m[50]).sum() == 5  # 0.06 m at 2 m is 4.5 px wide
 
 
-def test_nearer_surface_is_seen_and_nothing_behind_the_camera() -> None:
+def test_nearer_surface_is_visible_and_nothing_behind_the_camera() -> None:
     wall = Rectangle((-9.0, -9.0, 4.0), (18.0, 0.0, 0.0), (0.0, 18.0, 0.0))
     behind = Rectangle((-9.0, -9.0, -2.0), (18.0, 0.0, 0.0), (0.0, 18.0, 0.0))
     depth_m, _ = depth_of(behind, wall, Sphere((0.0, 0.0, 3.0), 0.4), Sphere((0.0, 0.0, -3.0), 0.4))
@@ -113,7 +113,7 @@ def test_nearer_surface_is_seen_and_nothing_behind_the_camera() -> None:
     assert depth_m[0, 0] == pytest.approx(4.0)
 
 
-def test_wall_to_the_left_of_a_near_board_is_hidden_from_the_right_camera() -> None:
+def test_wall_to_the_left_of_a_near_board_is_occluded_in_the_right_camera() -> None:
     near_m, far_m, half_m = 1.5, 3.0, 0.205
     wall = Rectangle((-9.0, -9.0, far_m), (18.0, 0.0, 0.0), (0.0, 18.0, 0.0))
     board = Rectangle((-half_m, -9.0, near_m), (2 * half_m, 0.0, 0.0), (0.0, 18.0, 0.0))
@@ -135,7 +135,7 @@ def test_rays_of_the_raw_pixels_project_back_onto_them(room: SyntheticSequence) 
         points = np.dstack([rays, np.ones(rays.shape[:2])]).reshape(-1, 1, 3)
         pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.K, camera.D)
         y, x = np.indices(rays.shape[:2]) / 2 - 0.25
-        # The iteration stops at rounding error: nanopixels.
+        # The iteration converges to rounding error: nanopixels.
         np.testing.assert_allclose(pixels.reshape(2 * HEIGHT, 2 * WIDTH, 2), np.stack([x, y], axis=-1), atol=1e-9)
 
 
@@ -164,7 +164,7 @@ def test_rig_is_verged_and_asymmetric_and_its_rows_agree(room: SyntheticSequence
     np.testing.assert_allclose(pixels[0][:, 0] - pixels[1][:, 0], expected, atol=1e-6)
 
 
-def test_disparity_is_that_of_the_depth_and_lies_in_the_usual_search_range() -> None:
+def test_disparity_is_that_of_the_depth_and_in_the_default_search_range() -> None:
     sequence = SyntheticSequence(1)
     frame, rig = sequence[0], sequence.rig
     expected = rig.f_px * rig.baseline_m / frame.truth_depth_m.astype(np.float64) + rig.cx_left - rig.cx_right
@@ -183,7 +183,7 @@ def test_block_matching_finds_the_room() -> None:
     disparity = cv2.StereoBM.create(64, 15).compute(left, right) / 16.0
     valid = disparity >= 0
     error = np.abs(disparity - frame.truth_disparity_px)[valid & ~frame.occluded]
-    assert valid.mean() > 0.7  # 11 % lie left of the search range
+    assert valid.mean() > 0.7  # 11 % are left of the search range
     assert np.median(error) < 0.1  # the step of block matching is 1/16 px
 
 
@@ -209,12 +209,12 @@ def test_truth_warps_the_right_image_onto_the_left(room: SyntheticSequence) -> N
         assert difference(wrong) > 2 * best
     for near in (truth - np.float32(0.25), truth + np.float32(0.25)):
         assert difference(near) > 1.1 * best
-    # What is hidden cannot be predicted.
+    # Occluded pixels cannot be predicted.
     hidden = frame.occluded & (x - truth > 1)
     assert np.abs(cv2.remap(right, x - truth, y, cv2.INTER_CUBIC) - left)[hidden].mean() > 4 * best
 
 
-def test_ball_is_in_the_image_where_truth_says() -> None:
+def test_sphere_is_in_the_image_where_the_truth_is() -> None:
     ball = Sphere((-0.35, 0.25, 1.8), 0.3, Texture(mean=220.0, contrast=0.0))
     sequence = SyntheticSequence(3, 2 * WIDTH, 2 * HEIGHT, scene=Scene((ball,), seed=1))
     frame = sequence[2]
@@ -278,7 +278,7 @@ def test_grid_repeats_and_noise_does_not(period_m: float, repeats: bool) -> None
     assert (correlation > 0.999) if repeats else (abs(correlation) < 0.5)
 
 
-def test_equal_arguments_give_equal_bytes_and_another_seed_other_textures(room: SyntheticSequence) -> None:
+def test_equal_arguments_give_equal_bytes_and_another_seed_gives_other_textures(room: SyntheticSequence) -> None:
     first, longer = room[1], SyntheticSequence(frames=9, width=WIDTH, height=HEIGHT)[1]
     other = SyntheticSequence(frames=4, width=WIDTH, height=HEIGHT, seed=8)[1]
     assert digest(first) == digest(room[1]) == digest(longer)
@@ -287,7 +287,7 @@ def test_equal_arguments_give_equal_bytes_and_another_seed_other_textures(room: 
     assert (first.truth_depth_m != room[2].truth_depth_m).mean() > 0.9  # the camera moves
 
 
-def test_bytes_are_those_of_every_other_machine(room: SyntheticSequence) -> None:
+def test_bytes_are_the_same_on_every_machine(room: SyntheticSequence) -> None:
     assert digest(room[3]) == "8f7ea97e0e76c91ffa5de55a548a8ea343b0410500dd56419e93f7d2ef967bba"
 
 
@@ -307,7 +307,7 @@ def test_sequence_protocol_and_stamps(room: SyntheticSequence) -> None:
 
 
 @pytest.mark.parametrize("name", ["frames", "width", "height", "rate_hz"])
-def test_nothing_is_refused(name: str) -> None:
+def test_zero_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match=f"{name} = 0 is not above 0: set a positive number"):
         SyntheticSequence(**{name: 0})
 
@@ -318,7 +318,7 @@ def test_seed_out_of_range_is_refused(seed: int) -> None:
         SyntheticSequence(seed=seed)
 
 
-def test_bag_holds_the_sequence(room: SyntheticSequence, tmp_path: Path) -> None:
+def test_bag_contains_the_sequence(room: SyntheticSequence, tmp_path: Path) -> None:
     path = tmp_path / "room.mcap"
     write_synthetic_bag(path, room)
     with BagReader(path) as bag:
@@ -359,7 +359,7 @@ def test_bag_marks_pixels_without_surface(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.isfinite(published_disparity(truth)), surface)
 
 
-def test_bag_is_the_same_every_time_and_is_not_replaced_unasked(room: SyntheticSequence, tmp_path: Path) -> None:
+def test_bag_is_reproducible_and_not_replaced_without_overwrite(room: SyntheticSequence, tmp_path: Path) -> None:
     path, again = tmp_path / "room.mcap", tmp_path / "again.mcap"
     write_synthetic_bag(path, room)
     write_synthetic_bag(again, room)

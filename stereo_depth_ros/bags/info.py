@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is in a bag, whether stereo depth can be made of it, and why not."""
+"""What a bag contains, whether it is usable for stereo depth, and why not."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["BagInfo", "ImageInfo", "TopicSummary", "inspect_bag"]
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """Message type, number of messages, and their mean rate over the length of the bag, Hz (0 for less than two)."""
+    """Message type, number of messages, and their mean rate over the length of the bag, Hz (0 for fewer than two)."""
 
     msgtype: str
     count: int
@@ -41,19 +41,20 @@ class ImageInfo:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What :func:`inspect_bag` found; None where there is nothing to say it of.
+    """Result of :func:`inspect_bag`; None where it does not apply.
 
     Attributes:
         path: the bag.
-        start_ns, duration_s: log time of the first message, and from there to the last one.
+        start_ns: log time of the first message.
+        duration_s: seconds from the first message to the last one.
         topics: all topics.
-        stereo: the topics of the two cameras.
+        stereo: topics of the two cameras.
         left_image, right_image: the first image of each camera.
-        rig: the calibration.
+        rig: the rig of the first two camera infos.
         exact_pairs: pairs of equal stamps.
         near_pairs: pairs within ``tolerance_s``, equal stamps included.
-        problems: what stands in the way of stereo depth, a sentence each, with its remedy.
-        warnings: what does not stand in the way.
+        problems: what prevents stereo depth, a sentence each with its remedy.
+        warnings: what else a user should know, a sentence each.
     """
 
     path: Path
@@ -72,20 +73,20 @@ class BagInfo:
 
     @property
     def usable(self) -> bool:
-        """Nothing stands in the way of stereo depth."""
+        """Whether nothing prevents stereo depth."""
         return not self.problems
 
 
 def inspect_bag(path: Path, *, left: str | None = None, right: str | None = None, tolerance_s: float = 0.01) -> BagInfo:
-    """Looks at a whole bag; only the first image of each camera is decoded.
+    """Examines a whole bag; only the first image of each camera is decoded.
 
     Args:
         path: the bag.
-        left, right: image topics where they are known.
-        tolerance_s: largest difference of stamps in a near pair.
+        left, right: image topics; None finds them.
+        tolerance_s: largest difference of stamps in a near pair, seconds.
 
     Raises:
-        BagError: not a readable bag. All else is told in ``problems``.
+        BagError: not a readable bag. Everything else is reported in ``problems``.
     """
     with BagReader(path) as reader:
         inspection = _Inspection(reader)
@@ -113,16 +114,15 @@ def inspect_bag(path: Path, *, left: str | None = None, right: str | None = None
 
 
 class _Inspection:
-    """One question a method; what is wrong is collected in ``problems``."""
+    """One check per method; what is wrong is collected in ``problems``."""
 
     def __init__(self, reader: BagReader) -> None:
         self._reader = reader
         self.problems: list[str] = []
 
     def find_topics(self, left: str | None, right: str | None) -> StereoTopics | None:
-        types = {name: info.msgtype for name, info in self._reader.topics.items()}
         try:
-            return find_stereo_topics(types, left, right)
+            return find_stereo_topics(self._reader.msgtypes, left, right)
         except TopicError as error:
             self.problems.append(str(error))
             return None

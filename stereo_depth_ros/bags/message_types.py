@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Message classes and CDR bytes without ROS, by rosbags."""
+"""Message classes and their serialization without ROS, by rosbags."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RosbagsTypes:
         self.DisparityImage: Any = types["stereo_msgs/msg/DisparityImage"]
 
     def payload(self, nbytes: int) -> tuple[Any, U8]:
-        """One uint8 (nbytes,) array, twice: rosbags' field is the array itself."""
+        """The same uint8 (nbytes,) array twice: the data field of a message and its view."""
         data = np.zeros(nbytes, np.uint8)
         return data, data
 
@@ -42,7 +42,7 @@ class RosbagsTypes:
         return np.array(values, np.float64).ravel()
 
     def serialize(self, message: Any) -> bytes:
-        """The little-endian CDR bytes of a message made by this factory."""
+        """The little-endian CDR bytes of a message that was created by this factory."""
         return bytes(self.typestore.serialize_cdr(message, message.__msgtype__))
 
     def deserialize(self, data: bytes, typename: str) -> Any:
@@ -53,16 +53,19 @@ class RosbagsTypes:
             typename: for example "sensor_msgs/msg/Image".
 
         Raises:
-            MessageError: unknown type, or bytes that are not a message of it.
+            MessageError: unknown type, or bytes that are not a message of this type.
         """
         if typename not in self.typestore.types:
             raise MessageError(
-                f"message type {typename!r} is not among the {len(self.typestore.types)} known types of ROS 2 Jazzy: "
-                "register its definition in .typestore first"
+                f"message type {typename!r} is not among the {len(self.typestore.types)} known types of ROS 2 Jazzy",
+                value=typename,
+                remedy="register its definition in .typestore first",
             )
         try:
             return self.typestore.deserialize_cdr(data, typename)
         except SerdeError as error:
             raise MessageError(
-                f"{len(data)} bytes are no {typename}: {error} Check the type of the topic, or record it again"
+                f"{len(data)} bytes are not a {typename} ({str(error).rstrip('.')})",
+                value=len(data),
+                remedy="check the type of the topic, or record it again",
             ) from error

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stereo pairs of a bag as serialized messages, for the live replay and the offline engine alike."""
+"""Stereo pairs of a bag as serialized messages."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from types import TracebackType
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
-from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
+from stereo_depth_ros.bags.topics import INFO_TYPE, StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp
+from stereo_depth_ros.messages.image import decode
 
 __all__ = ["BagPairs", "BagSelection", "SerializedPair"]
 
@@ -29,8 +32,8 @@ class BagSelection:
     Attributes:
         path: the bag.
         left, right: image topics; None finds them.
-        start_seconds: where to begin, after the bag's first message.
-        duration_seconds: how much to read; 0 is all.
+        start_seconds: where to begin, seconds after the first message of the bag.
+        duration_seconds: how much to read, seconds; 0 reads to the end.
     """
 
     path: Path
@@ -43,17 +46,23 @@ class BagSelection:
         for name in ("start_seconds", "duration_seconds"):
             value = getattr(self, name)
             if not 0 <= value < 1e9:
-                raise ConfigError(f"{name} = {value} is outside 0..1e9 s: set seconds from the beginning of the bag")
+                raise ConfigError(
+                    f"{name} = {value} is outside 0..1e9 s",
+                    value=value,
+                    limit="0..1e9 s",
+                    remedy="set seconds from the beginning of the bag",
+                    settings=(name,),
+                )
 
 
 @dataclass(frozen=True)
 class SerializedPair:
-    """Left and right image that belong together, with their camera infos, all as CDR bytes.
+    """Left and right image of one pair with their camera infos, all as CDR bytes.
 
     Attributes:
         stamp_ns, right_stamp_ns: header stamps of the two images.
         left, right: images; Image or CompressedImage.
-        left_info, right_info: CameraInfo, stamped as its image.
+        left_info, right_info: CameraInfo with the stamp of its image.
     """
 
     stamp_ns: int
@@ -64,7 +73,7 @@ class SerializedPair:
     right_info: bytes
 
     def shifted(self, shift_ns: int) -> SerializedPair:
-        """The same pair, all stamps later by ``shift_ns``."""
+        """The same pair with all stamps later by ``shift_ns``."""
         if not shift_ns:
             return self
         stamp_ns, right_stamp_ns = self.stamp_ns + shift_ns, self.right_stamp_ns + shift_ns
@@ -77,23 +86,48 @@ class SerializedPair:
             with_stamp(self.right_info, right_stamp_ns),
         )
 
+    def images(self, types: RosbagsTypes, image_type: str) -> StereoPair:
+        """Both images, decoded.
+
+        Args:
+            types: deserializes the messages.
+            image_type: message type of the images, :attr:`StereoTopics.image_type`.
+
+        Raises:
+            MessageError: a message that is damaged, or whose encoding is not supported.
+        """
+        left, right = (types.deserialize(image, image_type) for image in (self.left, self.right))
+        return StereoPair(decode(left, "left image"), decode(right, "right image"))
+
+    def rig(self, types: RosbagsTypes) -> StereoRig:
+        """The rig of the two camera infos.
+
+        Args:
+            types: deserializes the messages.
+
+        Raises:
+            MessageError: a message that is damaged.
+            CalibrationError: camera infos that are not those of a rectified rig.
+        """
+        return StereoRig.from_infos(*(types.deserialize(info, INFO_TYPE) for info in (self.left_info, self.right_info)))
+
 
 class BagPairs:
     """An open stereo bag.
 
-    A pair carries the camera infos that were read last before it (the bag's first ones before that), stamped as its
-    images: infos that a driver sent once only serve the whole bag. Where the names of the topics say that the images
-    are rectified, the infos say so too, so that they are not rectified again.
+    The camera infos of a pair are the last ones before it, or the first ones of the bag, with the stamps of its images:
+    camera infos that a driver published only once serve the whole bag. Where the topic names state that the images are
+    rectified, the camera infos become those of rectified images, so that nothing is rectified twice.
 
     Args:
-        selection: which bag, topics and part of it.
-        pairing: how stamps are paired.
+        selection: bag, topics and part of it.
+        pairing: parameters of the pairing by stamp.
 
     Attributes:
-        topics: the topics that are read.
+        topics: topics that are read.
         count: images of the left camera in the whole bag, an upper bound of the number of pairs.
-        unpaired_left, unpaired_right: images without a partner; final after :meth:`pairs` is exhausted.
-        warning: one sentence about a bag that is cut, or empty.
+        unpaired_left, unpaired_right: images without a partner; final when :meth:`pairs` is exhausted.
+        warning: one sentence about a bag that is cut; empty where it is complete.
 
     Raises:
         BagError, TopicError: no bag, no stereo pair in it, or no camera infos.
@@ -146,16 +180,14 @@ class BagPairs:
         self.close()
 
     def _find_topics(self) -> tuple[StereoTopics, tuple[str, str]]:
-        types = {name: info.msgtype for name, info in self._reader.topics.items()}
-        try:
-            topics = find_stereo_topics(types, self._selection.left, self._selection.right)
-        except TopicError as error:
-            raise TopicError(f"{self._selection.path}: {error}") from error
+        topics = self._reader.stereo_topics(self._selection.left, self._selection.right)
         if topics.left_info is None or topics.right_info is None:
             missing = topics.left_image if topics.left_info is None else topics.right_image
             raise TopicError(
-                f"{self._selection.path}: no CameraInfo belongs to {missing}, topics of the bag are "
-                f"{', '.join(types)}: record the camera infos too"
+                f"no CameraInfo topic belongs to {missing}, topics of the bag are {', '.join(self._reader.topics)}",
+                subject=str(self._selection.path),
+                value=missing,
+                remedy="record the camera infos too",
             )
         return topics, (topics.left_info, topics.right_info)
 
@@ -164,12 +196,17 @@ class BagPairs:
         for topic in self._info_topics:
             first = next(self._reader.messages([topic]), None)
             if first is None:
-                raise BagError(f"{self._selection.path}: {topic} has no messages: record the camera infos too")
+                raise BagError(
+                    f"{topic} has no messages",
+                    subject=str(self._selection.path),
+                    value=topic,
+                    remedy="record the camera infos too",
+                )
             infos[topic] = self._info_of_images(first)
         return infos
 
     def _info_of_images(self, message: BagMessage) -> bytes:
-        """The camera info, without what has been done already to images that are rectified."""
+        """The camera info of the images; without distortion and rotation where they are already rectified."""
         if not self.topics.rectified:
             return message.data
         camera = camera_from_info(self._reader.deserialize(message), message.topic).rectified()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads bags without ROS: MCAP (also cut in the middle), rosbag2 folders, bare sqlite3 files, ROS 1 bags."""
+"""Reads bags without ROS: MCAP (also cut), rosbag2 folders, bare sqlite3 files, ROS 1 bags."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from typing import Any
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.recovery import RecoveredMcap
 from stereo_depth_ros.bags.sources import UNREADABLE, open_sources
-from stereo_depth_ros.core.errors import BagError, MessageError
+from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
+from stereo_depth_ros.core.errors import BagError, MessageError, TopicError
 
 __all__ = ["BagMessage", "BagReader", "TopicInfo"]
 
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """Message type (``package/msg/Name``, empty where the bag does not say) and number of messages of a topic."""
+    """Message type (``package/msg/Name``, empty where the bag lacks it) and number of messages of a topic."""
 
     msgtype: str
     count: int
@@ -30,7 +31,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One serialized message: CDR bytes and the time at which it was logged."""
+    """One serialized message: topic, message type, log time and CDR bytes."""
 
     topic: str
     msgtype: str
@@ -39,7 +40,7 @@ class BagMessage:
 
 
 class BagReader:
-    """An open bag: its topics, its time span, its messages.
+    """An open bag: topics, time span and messages.
 
     Args:
         path: an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, or a rosbag2 folder, with or without ``metadata.yaml``.
@@ -47,7 +48,7 @@ class BagReader:
     Attributes:
         topics: type and number of messages per topic.
         start_ns, end_ns: log times of the first and the last message.
-        truncated: a file of the bag is cut; only what lies before the cut is read.
+        truncated: a file of the bag is cut; only the messages before the cut are read.
 
     Raises:
         BagError: the path does not exist, is not a bag, is empty, or cannot be read.
@@ -62,32 +63,61 @@ class BagReader:
             self.truncated = any(isinstance(source, RecoveredMcap) and source.cut for source in self._sources)
             filled = [source for source in self._sources if any(count for _, count in source.topics.values())]
             if not filled:
-                raise BagError(f"{path} holds no messages{' before the cut' * self.truncated}: record it again")
+                raise BagError(
+                    f"holds no messages{' before the cut' * self.truncated}",
+                    subject=str(path),
+                    remedy="record it again",
+                )
             self.start_ns = min(source.start_ns for source in filled)
             self.end_ns = max(source.end_ns for source in filled)
             self._files = stack.pop_all()
 
     @property
     def warning(self) -> str:
-        """One sentence about a bag that is cut; empty where it is whole."""
+        """One sentence about a bag that is cut; empty where it is complete."""
         count = sum(info.count for info in self.topics.values())
         return f"{self.path} is cut in the middle: the {count} messages before the cut are read" * self.truncated
+
+    @property
+    def msgtypes(self) -> dict[str, str]:
+        """Message type per topic."""
+        return {name: info.msgtype for name, info in self.topics.items()}
+
+    def stereo_topics(self, left: str | None = None, right: str | None = None) -> StereoTopics:
+        """The stereo pair among the topics, by :func:`find_stereo_topics`.
+
+        Args:
+            left, right: image topics; None finds them.
+
+        Raises:
+            TopicError: no pair, several equally good ones, or names that are not those of two images.
+        """
+        try:
+            return find_stereo_topics(self.msgtypes, left, right)
+        except TopicError as error:
+            raise error.about(self.path) from error
 
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """Messages in the order of their log times, start_ns <= log time <= end_ns.
+        """Messages with start_ns <= log time <= end_ns, in the order of their log times.
 
         Args:
-            topics: names to read; None reads all.
-            start_ns, end_ns: first and last log time, both included; None is no limit.
+            topics: topics to read; None reads all.
+            start_ns, end_ns: first and last log time, both included; None sets no limit.
 
         Raises:
             BagError: a topic is not in the bag, or the bag is damaged where it is read.
         """
         wanted = set(self.topics if topics is None else topics)
         if missing := wanted - set(self.topics):
-            raise BagError(f"{self.path} has no topic {', '.join(sorted(missing))}: it has {', '.join(self.topics)}")
+            raise BagError(
+                f"has no topic {', '.join(sorted(missing))}",
+                subject=str(self.path),
+                value=sorted(missing),
+                limit=list(self.topics),
+                remedy=f"choose among {', '.join(self.topics)}",
+            )
         start = self.start_ns if start_ns is None else start_ns
         end = self.end_ns if end_ns is None else end_ns
         streams = [source.messages(wanted, start, end) for source in self._sources]
@@ -102,7 +132,7 @@ class BagReader:
         try:
             return self._types.deserialize(message.data, message.msgtype)
         except MessageError as error:
-            raise MessageError(f"{self.path}, {message.topic} at {message.log_time_ns} ns: {error}") from error
+            raise error.about(f"{self.path}, {message.topic} at {message.log_time_ns} ns") from error
 
     def close(self) -> None:
         """Close all files."""
@@ -121,7 +151,7 @@ class BagReader:
             for topic, log_time_ns, data in items:
                 yield BagMessage(topic, self.topics[topic].msgtype, log_time_ns, data)
         except UNREADABLE as error:
-            raise BagError(f"{self.path} is damaged: {error}") from error
+            raise BagError(f"is damaged ({error})", subject=str(self.path), remedy="record or copy it again") from error
 
     def _merge_topics(self) -> dict[str, TopicInfo]:
         topics: dict[str, TopicInfo] = {}
@@ -133,6 +163,6 @@ class BagReader:
 
 
 def _full_type_name(msgtype: str) -> str:
-    """``package/Name``, as the first ROS 2 bags have it, becomes ``package/msg/Name``."""
+    """``package/msg/Name`` for the ``package/Name`` of the first ROS 2 bags."""
     package, _, name = msgtype.partition("/")
     return f"{package}/msg/{name}" if name and "/" not in name else msgtype

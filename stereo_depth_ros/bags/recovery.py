@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads an MCAP file that has no index, such as one cut in the middle: every whole message before the cut."""
+"""Reads an MCAP file without index, such as one that is cut: every complete message before the cut."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import io
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -16,9 +17,10 @@ from typing import BinaryIO, NamedTuple
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import StreamReader
 
 from stereo_depth_ros.core.errors import BagError
 
@@ -26,34 +28,37 @@ __all__ = ["RecoveredMcap"]
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEADER = struct.Struct("<BQ")
-_DAMAGE = (McapError, struct.error, UnicodeDecodeError, zstandard.ZstdError, RuntimeError)  # lz4 raises RuntimeError
-_CHUNK_HEADER = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
+# raised by mcap at damaged records, by zstandard and lz4 (RuntimeError) at damaged chunks
+_DAMAGE = (McapError, struct.error, UnicodeDecodeError, OverflowError, zstandard.ZstdError, RuntimeError)
+_READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 
 class _Record(NamedTuple):
+    """A top-level record; ``data`` begins with its opcode and length."""
+
     opcode: int
     offset: int
-    content: bytes
+    data: bytes
     complete: bool
 
 
 @dataclass(frozen=True)
 class _Block:
-    """A chunk, or one message outside of chunks: where it is and the first time in it."""
+    """A chunk, or one message outside of chunks: its offset in the file and its first log time."""
 
     offset: int
     start_ns: int
 
 
 class RecoveredMcap:
-    """A sequential scan makes the index that the file lacks; messages are then read block by block in log-time order.
+    """A sequential scan builds the index that the file lacks; messages are read block by block in log-time order.
 
     Attributes:
         cut: the file ends, or is damaged, before its footer.
         start_ns, end_ns: log times of the first and last message; 0 when there is none.
 
     Raises:
-        BagError: not an MCAP file, or compressed in an unknown way.
+        BagError: not an MCAP file, or of an unsupported compression.
     """
 
     def __init__(self, path: Path) -> None:
@@ -84,7 +89,7 @@ class RecoveredMcap:
     def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[tuple[str, int, bytes]]:
         """(topic, log time, CDR bytes) with start_ns <= log time <= end_ns, in log-time order."""
         ids = {key: channel.topic for key, channel in self._channels.items() if channel.topic in topics}
-        # a block waits in the queue until its first message is due, then its messages take its place
+        # a block stays in the queue until its first message is due, then its messages replace it
         queue: list[tuple[int, int, int, _Block | Message]] = [
             (block.start_ns, block.offset, 0, block) for block in self._blocks if block.start_ns <= end_ns
         ]
@@ -104,17 +109,18 @@ class RecoveredMcap:
 
     def _scan(self) -> None:
         if self._file.read(len(_MAGIC)) != _MAGIC:
-            raise BagError(f"{self.path} is not an MCAP file: it does not begin with the MCAP magic")
-        for record in _records(self._file):
-            if record.opcode in (Opcode.DATA_END, Opcode.FOOTER) and record.complete:
-                self.cut = False
-                return
-            try:
-                messages = list(self._read(record))
-            except _DAMAGE:
-                return  # what follows a damaged record cannot be trusted: the same as a cut in front of it
-            if messages:
-                self._index(record.offset, messages)
+            raise BagError(
+                "is not an MCAP file, it does not begin with the MCAP magic",
+                subject=str(self.path),
+                remedy="check what the file is, or copy it again",
+            )
+        with suppress(*_DAMAGE):  # nothing after a damaged record can be trusted: the same as a cut in front of it
+            for record in _top_level_records(self._file):
+                if record.opcode in (Opcode.DATA_END, Opcode.FOOTER) and record.complete:
+                    self.cut = False
+                    return
+                if messages := list(self._read(record)):
+                    self._index(record.offset, messages)
 
     def _index(self, offset: int, messages: list[Message]) -> None:
         self._counts.update(message.channel_id for message in messages)
@@ -125,52 +131,55 @@ class RecoveredMcap:
         self._blocks.append(_Block(offset, first))
 
     def _read(self, record: _Record) -> Iterator[Message]:
-        """The messages of a top-level record; learns schemas and channels on the way."""
-        inner = iter([record]) if record.opcode != Opcode.CHUNK else _records(io.BytesIO(_unpack(record.content)))
-        for item in inner:
-            if not item.complete:
-                return
-            stream = ReadDataStream(io.BytesIO(item.content))
-            if item.opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self._schemas[schema.id] = schema
-            elif item.opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream)
-                self._channels[channel.id] = channel
-            elif item.opcode == Opcode.MESSAGE:
-                yield Message.read(stream, len(item.content))
+        """The messages of a top-level record; stores the schemas and channels in it."""
+        if record.opcode == Opcode.CHUNK:
+            data = _unpack(Chunk.read(ReadDataStream(io.BytesIO(record.data[_RECORD_HEADER.size :]))))
+        else:
+            data = record.data if record.opcode in _READ else b""
+        with suppress(EndOfFile, struct.error):  # at the end of the data, or where it is cut
+            for item in StreamReader(io.BytesIO(data), skip_magic=True).records:
+                if isinstance(item, Schema):
+                    self._schemas[item.id] = item
+                elif isinstance(item, Channel):
+                    self._channels[item.id] = item
+                elif isinstance(item, Message):
+                    yield item
 
     def _block_messages(self, block: _Block) -> Iterator[Message]:
         self._file.seek(block.offset)
-        return self._read(next(_records(self._file)))
+        return self._read(next(_top_level_records(self._file)))
 
 
-def _records(stream: BinaryIO) -> Iterator[_Record]:
-    """Records until the stream ends; the last one may be incomplete."""
-    offset = stream.tell()
-    size = stream.seek(0, io.SEEK_END)
+def _top_level_records(file: BinaryIO) -> Iterator[_Record]:
+    """Records until the file ends; the last one may be incomplete.
+
+    mcap's StreamReader does not serve here: it gives complete records only and loses the messages at the beginning of a
+    cut chunk, parses every record and ends at a damaged index, and allocates whatever a damaged length states.
+    """
+    offset = file.tell()
+    size = file.seek(0, io.SEEK_END)
     while offset + _RECORD_HEADER.size <= size:
-        stream.seek(offset)
-        opcode, length = _RECORD_HEADER.unpack(stream.read(_RECORD_HEADER.size))
+        file.seek(offset)
+        header = file.read(_RECORD_HEADER.size)
+        opcode, length = _RECORD_HEADER.unpack(header)
         if opcode == 0:  # never valid: zeros that a file system left behind after a power cut
             return
-        offset += _RECORD_HEADER.size
-        content = stream.read(min(length, size - offset))
-        yield _Record(opcode, offset - _RECORD_HEADER.size, content, len(content) == length)
-        offset += length
+        end = offset + _RECORD_HEADER.size + length
+        yield _Record(opcode, offset, header + file.read(min(length, size)), end <= size)
+        offset = end
 
 
-def _unpack(content: bytes) -> bytes:
-    """The records of a chunk; a cut chunk gives those at its beginning."""
-    if len(content) < _CHUNK_HEADER.size:
-        return b""
-    name_end = _CHUNK_HEADER.size + _CHUNK_HEADER.unpack_from(content)[4]
-    compression = content[_CHUNK_HEADER.size : name_end].decode()
-    data = content[name_end + 8 :]
-    if compression == "zstd":
-        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-    if compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
-    if compression:
-        raise BagError(f"chunk compression {compression!r} is not known: known are zstd, lz4 and none")
-    return data
+def _unpack(chunk: Chunk) -> bytes:
+    """The records of a chunk; of a cut one those at its beginning, while mcap decompresses only complete chunks."""
+    if chunk.compression == "zstd":
+        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+    if chunk.compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
+    if chunk.compression:
+        raise BagError(
+            f"chunk compression {chunk.compression!r} is not supported, supported are zstd, lz4 and none",
+            value=chunk.compression,
+            limit=("zstd", "lz4", "none"),
+            remedy="convert the bag to one of these",
+        )
+    return chunk.data

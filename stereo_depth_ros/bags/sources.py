@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Opens the files that a bag consists of, whatever their kind and state."""
+"""Opens the files of a bag, of any format and compression."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ else:
 
 __all__ = ["UNREADABLE", "BagSource", "bag_files", "is_bag", "open_sources"]
 
-# what rosbags and zstandard raise at a file that is cut, damaged, or of a kind they do not know
+# raised by rosbags and zstandard at a file that is cut, damaged, or of an unsupported format
 UNREADABLE = (
     rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, zstandard.ZstdError, ZstdError, OSError, EOFError,
     AssertionError, KeyError, RuntimeError, TypeError, ValueError, struct.error,
@@ -74,18 +74,23 @@ def open_sources(path: Path, types: RosbagsTypes, stack: ExitStack) -> list[BagS
         BagError: the path does not exist, is not a bag, is empty, or cannot be read.
     """
     if not path.exists():
-        raise BagError(f"{path} does not exist: give {_KINDS}")
+        raise BagError("does not exist", subject=str(path), remedy=f"give {_KINDS}")
     if not path.is_dir():
         return [_open_file(path, types, stack, packed_messages=False)]
-    # rosbags compares the QoS of metadata.yaml with that of the files and passes over messages where they differ, so
-    # each file is opened by itself and only its names and the compression are taken from metadata.yaml
+    # rosbags compares the QoS of metadata.yaml with that of the files and skips messages where they differ, so each
+    # file is opened separately, and metadata.yaml gives the file names and the compression only
     metadata = _read_metadata(path / "metadata.yaml")
     files = [path / Path(name).name for name in metadata.get("relative_file_paths") or []]
     if missing := [file.name for file in files if not file.exists()]:
-        raise BagError(f"{path} lacks {', '.join(missing)}, which its metadata.yaml names: copy the whole folder")
+        raise BagError(
+            f"lacks {', '.join(missing)}, which its metadata.yaml lists",
+            subject=str(path),
+            value=missing,
+            remedy="copy the whole folder",
+        )
     files = files or sorted(file for file in path.iterdir() if _kind(file) in (".mcap", ".db3"))
     if not files:
-        raise BagError(f"{path} is not a bag, it holds no .mcap or .db3 file: give {_KINDS}")
+        raise BagError("is not a bag, it holds no .mcap or .db3 file", subject=str(path), remedy=f"give {_KINDS}")
     packed_messages = str(metadata.get("compression_mode") or "").lower() == "message"
     return [_open_file(file, types, stack, packed_messages=packed_messages) for file in files]
 
@@ -96,7 +101,7 @@ def bag_files(path: Path) -> list[Path]:
 
 
 class _RosbagsSource:
-    """A file that rosbags opens; messages of ROS 1 become CDR, messages compressed one by one are unpacked."""
+    """A file that rosbags opens; ROS 1 messages are converted to CDR, compressed messages decompressed."""
 
     def __init__(self, path: Path, types: RosbagsTypes, packed_messages: bool) -> None:
         self._types = types
@@ -105,7 +110,7 @@ class _RosbagsSource:
         self._reader = rosbag1.Reader(path) if self._ros1 else rosbag2.Reader(path)
         self._reader.open()
         self.start_ns = self._reader.start_time
-        self.end_ns = self._reader.end_time - 1  # rosbags counts to the nanosecond after the last message
+        self.end_ns = self._reader.end_time - 1  # rosbags gives the nanosecond after the last message
 
     @property
     def topics(self) -> dict[str, tuple[str, int]]:
@@ -114,7 +119,7 @@ class _RosbagsSource:
 
     def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[tuple[str, int, bytes]]:
         connections = [connection for connection in self._reader.connections if connection.topic in topics]
-        if not connections:  # an empty list would mean all of them
+        if not connections:  # rosbags reads all topics of an empty list
             return
         for connection, log_time_ns, data in self._reader.messages(connections, start_ns, end_ns + 1):
             yield connection.topic, log_time_ns, self._cdr(connection, data)
@@ -131,30 +136,31 @@ class _RosbagsSource:
             return bytes(self._types.typestore.ros1_to_cdr(data, connection.msgtype))
         except (KeyError, SerdeError, TypesysError) as error:
             raise BagError(
-                f"topic {connection.topic} of type {connection.msgtype} has no ROS 2 Jazzy equivalent: "
-                "convert the bag with rosbags-convert, or leave the topic out"
+                f"topic {connection.topic} of type {connection.msgtype} has no ROS 2 Jazzy equivalent",
+                value=connection.msgtype,
+                remedy="convert the bag with rosbags-convert, or do not read the topic",
             ) from error
 
 
 def _open_file(path: Path, types: RosbagsTypes, stack: ExitStack, *, packed_messages: bool) -> BagSource:
     if _kind(path) not in (".mcap", ".db3", ".bag"):
-        raise BagError(f"{path} is not a bag: give {_KINDS}")
+        raise BagError("is not a bag", subject=str(path), remedy=f"give {_KINDS}")
     if not path.stat().st_size:
-        raise BagError(f"{path} is empty (0 bytes): record it again")
+        raise BagError("is empty (0 bytes)", subject=str(path), value=0, remedy="record it again")
     file = _unpack(path, stack) if path.suffix == ".zstd" else path
     source: BagSource
     try:
         source = _RosbagsSource(file, types, packed_messages)
     except UNREADABLE as error:
         if file.suffix != ".mcap" or packed_messages:
-            raise BagError(f"{path} is cut or damaged ({error}): {_remedy(file)}") from error
+            raise BagError(f"is cut or damaged ({error})", subject=str(path), remedy=_remedy(file)) from error
         source = RecoveredMcap(file)
     stack.callback(source.close)
     return source
 
 
 def _kind(path: Path) -> str:
-    """The suffix, without that of a file that was compressed as a whole."""
+    """The suffix; that in front of .zstd where the file is compressed as a whole."""
     return Path(path.stem).suffix if path.suffix == ".zstd" else path.suffix
 
 
@@ -165,18 +171,18 @@ def _unpack(path: Path, stack: ExitStack) -> Path:
         with path.open("rb") as source, unpacked.open("wb") as target:
             shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(source), target)
     except (OSError, zstandard.ZstdError) as error:
-        raise BagError(f"{path} cannot be unpacked ({error}): copy it again") from error
+        raise BagError(f"cannot be decompressed ({error})", subject=str(path), remedy="copy it again") from error
     return unpacked
 
 
 def _remedy(path: Path) -> str:
     if path.suffix == ".db3":
-        return f"save what is left with `sqlite3 {path.name} .recover | sqlite3 new.db3`"
-    return "save what is left with `rosbag reindex`" if path.suffix == ".bag" else "record it again"
+        return f"recover it with `sqlite3 {path.name} .recover | sqlite3 new.db3`"
+    return "recover it with `rosbag reindex`" if path.suffix == ".bag" else "record it again"
 
 
 def _read_metadata(path: Path) -> dict[str, Any]:
-    """What metadata.yaml says of the bag; nothing where it is missing or broken, as after a crash of the recorder."""
+    """The contents of metadata.yaml; empty where it is missing or damaged, as after a crash of the recorder."""
     try:
         return dict(YAML(typ="safe", pure=True).load(path)["rosbag2_bagfile_information"])
     except (OSError, YAMLError, KeyError, TypeError, ValueError):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Finds the left and right images and their camera infos among topics of any names; pure."""
+"""Finds the image topics of a stereo pair and their camera infos by name."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 from stereo_depth_ros.core.errors import TopicError
 
-__all__ = ["StereoTopics", "find_stereo_topics"]
+__all__ = ["INFO_TYPE", "StereoTopics", "find_stereo_topics"]
 
+INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
-_INFO = "sensor_msgs/msg/CameraInfo"
-_REMEDY = "name them with --left and --right"
+_REMEDY = "name both image topics"
+_SETTINGS = ("left", "right")
 
 # words of a name: leftImage2 is left, Image, 2
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+|[^A-Za-z\d]+")
@@ -26,11 +27,11 @@ _COLOR = re.compile(r"colou?r|rgb|bgr")
 
 @dataclass(frozen=True)
 class StereoTopics:
-    """Topics of one stereo rig; an info is None where there is none.
+    """Topics of one stereo rig; a camera info topic is None where there is none.
 
     Attributes:
         compressed: the images are sensor_msgs/CompressedImage.
-        rectified: the names say that the images are rectified already.
+        rectified: the topic names state that the images are rectified.
     """
 
     left_image: str
@@ -40,23 +41,33 @@ class StereoTopics:
     compressed: bool
     rectified: bool
 
+    @property
+    def image_type(self) -> str:
+        """Message type of both images."""
+        return _COMPRESSED if self.compressed else _RAW
+
 
 def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right: str | None = None) -> StereoTopics:
     """The stereo pair among ``topics``.
 
-    Two image topics of one type make a pair when their names differ only in words that name a camera: left and right,
-    l and r, or numbers n and n + 1. Among several pairs the one with camera infos wins, then raw before rectified, gray
-    before color, uncompressed before compressed.
+    Two image topics of one type are a pair when their names differ only in the words for the camera: left and right,
+    l and r, or numbers n and n + 1. Of several pairs one with camera infos is preferred, then raw over rectified, gray
+    over color, uncompressed over compressed.
 
     Args:
         topics: message type per topic name.
-        left, right: names of the image topics where they are known.
+        left, right: image topics; None finds them.
 
     Raises:
-        TopicError: no pair, several equally good ones, equal names, a name that is not there or not an image.
+        TopicError: no pair, several equally good ones, equal names, or a name that is missing or not of an image.
     """
     if left is not None and left == right:
-        raise TopicError(f"left and right are the same topic {left}: {_REMEDY} one topic per camera")
+        raise TopicError(
+            f"left and right are the same topic {left}",
+            value=left,
+            remedy="name one topic per camera",
+            settings=_SETTINGS,
+        )
     images = {name: kind for name, kind in topics.items() if kind in (_RAW, _COMPRESSED)}
     for name in (left, right):
         _check_image(name, topics, images)
@@ -73,15 +84,18 @@ def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right
 def _check_image(name: str | None, topics: Mapping[str, str], images: Mapping[str, str]) -> None:
     if name is None or name in images:
         return
-    if name in topics:
-        raise TopicError(f"topic {name} is {topics[name]}, not an image: choose among {_listed(images)}")
-    raise TopicError(f"no topic {name}: image topics are {_listed(images)}")
+    problem = f"topic {name} is {topics[name]}, not an image" if name in topics else f"no topic {name}"
+    remedy = f"choose among the image topics {_listed(images)}"
+    raise TopicError(problem, value=name, limit=sorted(images), remedy=remedy, settings=_SETTINGS)
 
 
 def _checked_pair(left: str, right: str, topics: Mapping[str, str]) -> StereoTopics:
     if topics[left] != topics[right]:
         raise TopicError(
-            f"left {left} is {topics[left]} and right {right} is {topics[right]}: choose two topics of one type"
+            f"left {left} is {topics[left]} and right {right} is {topics[right]}",
+            value=(topics[left], topics[right]),
+            remedy="choose two topics of one type",
+            settings=_SETTINGS,
         )
     return _stereo_topics(left, right, topics)
 
@@ -90,11 +104,22 @@ def _best(candidates: list[StereoTopics], images: Mapping[str, str], given: str 
     ranked = sorted(candidates, key=_rank)
     if not ranked:
         wanted = f"no partner for {given}" if given else "no stereo pair"
-        raise TopicError(f"{wanted} among the image topics {_listed(images)}: {_REMEDY}")
+        raise TopicError(
+            f"{wanted} among the image topics {_listed(images)}",
+            value=sorted(images),
+            remedy=_REMEDY,
+            settings=_SETTINGS,
+        )
     equal = [pair for pair in ranked if _rank(pair) == _rank(ranked[0])]
     if len(equal) > 1:
         pairs = "; ".join(f"{pair.left_image} with {pair.right_image}" for pair in equal)
-        raise TopicError(f"{len(equal)} stereo pairs are equally good ({pairs}): {_REMEDY}")
+        raise TopicError(
+            f"{len(equal)} stereo pairs are equally good ({pairs})",
+            value=len(equal),
+            limit=1,
+            remedy=_REMEDY,
+            settings=_SETTINGS,
+        )
     return ranked[0]
 
 
@@ -116,27 +141,27 @@ def _stereo_topics(left: str, right: str, topics: Mapping[str, str]) -> StereoTo
 
 
 def _infos(left: str, right: str, topics: Mapping[str, str]) -> tuple[str | None, str | None]:
-    """Siblings of the images where there are any, else the pair of infos whose names begin most like the images'.
+    """The siblings of the images, or else the pair of camera infos that shares most leading words with the images.
 
-    The sibling of another image is that one's: a wrong calibration would give a plausible wrong depth.
+    The sibling of another image is not used: the calibration of another camera would give plausible but wrong depth.
     """
-    infos = [name for name, kind in topics.items() if kind == _INFO]
+    infos = [name for name, kind in topics.items() if kind == INFO_TYPE]
     siblings = _sibling(left, infos), _sibling(right, infos)
     if None not in siblings and siblings[0] != siblings[1]:
         return siblings
 
-    def likeness(pair: tuple[str, str]) -> int:
+    def similarity(pair: tuple[str, str]) -> int:
         return _common_words(pair[0], left) + _common_words(pair[1], right)
 
-    taken = {_sibling(name, infos) for name, kind in topics.items() if kind in (_RAW, _COMPRESSED)}
-    pairs = sorted(_side_pairs(set(infos) - taken), key=likeness, reverse=True)
-    if pairs and (len(pairs) == 1 or likeness(pairs[0]) > likeness(pairs[1])):
+    siblings_of_images = {_sibling(name, infos) for name, kind in topics.items() if kind in (_RAW, _COMPRESSED)}
+    pairs = sorted(_side_pairs(set(infos) - siblings_of_images), key=similarity, reverse=True)
+    if pairs and (len(pairs) == 1 or similarity(pairs[0]) > similarity(pairs[1])):
         return pairs[0]
     return None, None
 
 
 def _sibling(image: str, infos: list[str]) -> str | None:
-    """``camera_info`` in the namespace of the image, or of the image that a transport's topic belongs to."""
+    """``camera_info`` in the namespace of the image; of a compressed topic also in that of its base topic."""
     namespace = image.rpartition("/")[0]
     for parent in (namespace, namespace.rpartition("/")[0]):
         if f"{parent}/camera_info" in infos:
@@ -149,10 +174,10 @@ def _side_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def _is_side_pair(left: str, right: str) -> bool:
-    left_descriptors, right_descriptors = _words(left), _words(right)
-    if len(left_descriptors) != len(right_descriptors):
+    left_words, right_words = _words(left), _words(right)
+    if len(left_words) != len(right_words):
         return False
-    different = [(a, b) for a, b in zip(left_descriptors, right_descriptors, strict=True) if a != b]
+    different = [(a, b) for a, b in zip(left_words, right_words, strict=True) if a != b]
     return bool(different) and all(_are_sides(a, b) for a, b in different)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes an MCAP bag that rosbag2 and Foxglove read; it gets its final name only when it is complete."""
+"""Writes MCAP bags that rosbag2 and Foxglove read."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none
 
 
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
-# Keep the last one, reliable, transient local, in the numbers of rmw, as rosbag2 writes it
+# keep last, depth 1, reliable, transient local, as numbers of rmw like in the metadata of rosbag2
 _LATCHED = f"""\
 - history: 1
   depth: 1
@@ -42,21 +42,27 @@ class BagWriter:
     The bag appears under its name when it is complete; when the ``with`` block ends in an exception, nothing does.
 
     Args:
-        path: file to make, must end in ``.mcap``; folders above it are made.
-        compression: of the chunks: "zstd", "lz4" or "none".
-        chunk_size: bytes of messages per chunk before compression; about this much is lost when the process is killed.
+        path: file to create, must end in ``.mcap``; missing folders are created.
+        compression: compression of the chunks: "zstd", "lz4" or "none".
+        chunk_size: bytes of messages per chunk before compression; about this much is lost if the process is killed.
         overwrite: replace an existing file.
 
     Raises:
         BagError: wrong suffix, or unknown compression.
-        OutputError: the file exists and ``overwrite`` is false, or it cannot be made.
+        OutputError: an existing file without ``overwrite``, or it cannot be created.
     """
 
     def __init__(
         self, path: Path, *, compression: str = "zstd", chunk_size: int = 4 * 1024 * 1024, overwrite: bool = False
     ) -> None:
         if compression not in _COMPRESSIONS:
-            raise BagError(f"compression {compression!r} is none of {', '.join(_COMPRESSIONS)}: take one of them")
+            raise BagError(
+                f"compression {compression!r} is not one of {', '.join(_COMPRESSIONS)}",
+                value=compression,
+                limit=tuple(_COMPRESSIONS),
+                remedy="choose one of them",
+                settings=("compression",),
+            )
         _check_name(path)
         self.path = path
         self.message_count = 0
@@ -78,9 +84,9 @@ class BagWriter:
         publish_time_ns: int | None = None,
         latched: bool = False,
     ) -> None:
-        """Write a serialized message; ``publish_time_ns`` is the log time where it is not given.
+        """Write a serialized message; without ``publish_time_ns`` it is published at its log time.
 
-        A topic whose first message is ``latched`` is played to subscribers that come late, too.
+        A topic whose first message is ``latched`` is recorded as transient local: late subscribers receive it too.
 
         Raises:
             BagError: the type has no known definition, or the topic already carries another type.
@@ -98,7 +104,7 @@ class BagWriter:
         self.write_raw(topic, message.__msgtype__, self._types.serialize(message), stamp_ns)
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a record of names and values beside the messages: what was used to make them."""
+        """Write a metadata record: names and values, such as the parameters that were used."""
         with as_output_errors(self.path):
             self._writer.add_metadata(name, dict(values))
 
@@ -106,7 +112,7 @@ class BagWriter:
         """Finish the bag and give it its name; a second call does nothing.
 
         Raises:
-            OutputError: it cannot be written to its end, or a file of this name has appeared meanwhile.
+            OutputError: it cannot be written completely, or a file of this name has been created in the meantime.
         """
         if self._output.file.closed:
             return
@@ -114,7 +120,7 @@ class BagWriter:
             self._writer.finish()  # type: ignore[no-untyped-call]
 
     def discard(self) -> None:
-        """Leave nothing behind."""
+        """Close and remove the unfinished bag."""
         self._output.discard()
 
     def __enter__(self) -> BagWriter:
@@ -131,7 +137,7 @@ class BagWriter:
     def _channel(self, topic: str, msgtype: str, latched: bool) -> int:
         if topic not in self._channels:
             schema = self._schema(msgtype)
-            # rosbag2 reads both keys; without a profile it plays with its default QoS
+            # rosbag2 reads both keys; without a QoS profile it plays with its default
             metadata = {
                 "offered_qos_profiles": _LATCHED if latched else "",
                 "topic_type_hash": self._types.typestore.hash_rihs01(msgtype),
@@ -139,7 +145,12 @@ class BagWriter:
             self._channels[topic] = (msgtype, self._writer.register_channel(topic, "cdr", schema, metadata))
         known_type, channel = self._channels[topic]
         if known_type != msgtype:
-            raise BagError(f"topic {topic} carries {known_type}, not {msgtype}: write {msgtype} on a topic of its own")
+            raise BagError(
+                f"topic {topic} carries {known_type}, not {msgtype}",
+                value=msgtype,
+                limit=known_type,
+                remedy=f"write {msgtype} on another topic",
+            )
         return channel
 
     def _schema(self, msgtype: str) -> int:
@@ -148,7 +159,10 @@ class BagWriter:
                 definition, _ = self._types.typestore.generate_msgdef(msgtype, ros_version=2)
             except TypesysError as error:
                 raise BagError(
-                    f"no definition of message type {msgtype!r}: only types of ROS 2 Jazzy are written to {self.path}"
+                    f"no definition of message type {msgtype!r}",
+                    subject=str(self.path),
+                    value=msgtype,
+                    remedy="write types of ROS 2 Jazzy only",
                 ) from error
             self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition.encode())
         return self._schemas[msgtype]
@@ -170,5 +184,9 @@ def check_bag_output(
 def _check_name(path: Path) -> None:
     if path.suffix != ".mcap":
         raise BagError(
-            f"cannot write {path}: bags are written as MCAP, it does not end in .mcap: name it {path.stem}.mcap"
+            "cannot be written, bags are written as MCAP and it does not end in .mcap",
+            subject=str(path),
+            value=path.suffix,
+            limit=".mcap",
+            remedy=f"name it {path.stem}.mcap",
         )

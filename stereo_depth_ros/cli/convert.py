@@ -118,5 +118,5 @@ def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bo
         count = convert_dataset(dataset, output, rate_hz=rate_hz, overwrite=overwrite, progress=progress)
     for text in getattr(dataset, "warnings", []):
         warn(text)
-    skipped = getattr(dataset, "left_out", 0)
+    skipped = getattr(dataset, "skipped", 0)
     messages.print(f"{count} pairs written to {output}" + (f", {skipped} images skipped" if skipped else ""))

@@ -9,7 +9,7 @@ from typing import Literal
 
 from stereo_depth_ros.cli.output import prepare_kernels, progress_bar
 from stereo_depth_ros.config.values import Value, pipeline_config, read_params_file
-from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.graph_processes import require_ros
 from stereo_depth_ros.replay.options import ReplayOptions
 
@@ -22,7 +22,7 @@ def run_live(
     values: dict[str, Value],
     params_file: Path | None,
     health: Literal["", "watch", "correct"] = "",
-) -> ReplayResult:
+) -> RunReport:
     """Start the nodes, play the bag, stop the nodes; the arguments are those of ``replay_through_graph``.
 
     Kernels are compiled here once, so that the nodes load them from disk.

@@ -14,12 +14,12 @@ from rich.table import Table
 
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, messages, show, warn
 from stereo_depth_ros.cli.tables import facts_table, plain_table
-from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.offline.report import RunReport
 
 __all__ = ["finish_run"]
 
 
-def finish_run(result: ReplayResult, json_file: Path | None, overwrite: bool, image: Path | None = None) -> None:
+def finish_run(result: RunReport, json_file: Path | None, overwrite: bool, image: Path | None = None) -> None:
     """Print tables or JSON and warnings; exit with code 3 if pairs were skipped or outputs lost.
 
     Raises:
@@ -29,12 +29,12 @@ def finish_run(result: ReplayResult, json_file: Path | None, overwrite: bool, im
     show(_tables(result, image), values, json_file, overwrite=overwrite)
     for text in result.warnings:
         warn(text)
-    if result.left_out or (result.lost and not result.realtime):
-        messages.print(f"error: {result.left_out} pairs skipped, {result.lost} outputs lost: see the warnings above")
+    if result.skipped or (result.lost and not result.realtime):
+        messages.print(f"error: {result.skipped} pairs skipped, {result.lost} outputs lost: see the warnings above")
         raise typer.Exit(EXIT_INCOMPLETE)
 
 
-def _tables(result: ReplayResult, image: Path | None = None) -> Iterator[Table]:
+def _tables(result: RunReport, image: Path | None = None) -> Iterator[Table]:
     """Latency of each output, time of each stage, and a summary."""
     if result.outputs:
         yield _outputs_table(result)
@@ -43,13 +43,13 @@ def _tables(result: ReplayResult, image: Path | None = None) -> Iterator[Table]:
     yield _summary_table(result, image)
 
 
-def _summary_table(result: ReplayResult, image: Path | None) -> Table:
+def _summary_table(result: RunReport, image: Path | None) -> Table:
     facts = facts_table()
     facts.add_row("pairs read", str(result.pairs))
     if result.unpaired_left or result.unpaired_right:
         facts.add_row("unpaired images", f"left {result.unpaired_left}, right {result.unpaired_right}")
-    if result.left_out:
-        facts.add_row("pairs skipped", str(result.left_out))
+    if result.skipped:
+        facts.add_row("pairs skipped", str(result.skipped))
     facts.add_row("pairs per second", f"{result.frames_per_second:.1f}")
     score = result.score
     if score is not None:
@@ -68,7 +68,7 @@ def _summary_table(result: ReplayResult, image: Path | None) -> Table:
     return facts
 
 
-def _outputs_table(result: ReplayResult) -> Table:
+def _outputs_table(result: RunReport) -> Table:
     table = plain_table(
         "output", "received:r", "lost:r", "p50 ms:r", "p95 ms:r", title="latency from raw pair sent to output received"
     )
@@ -78,7 +78,7 @@ def _outputs_table(result: ReplayResult) -> Table:
     return table
 
 
-def _stages_table(result: ReplayResult) -> Table:
+def _stages_table(result: RunReport) -> Table:
     table = plain_table("stage", "p50 ms:r", "p95 ms:r", title="computing time of the stages")
     for stage, (p50, p95) in result.stages_ms.items():
         table.add_row(escape(stage), _ms(p50), _ms(p95))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all datasets have in common: a rig, and pairs of frames with the true disparities where they are known."""
+"""Interface of all datasets: a rig, and pairs of frames with true disparities where they are known."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ __all__ = ["DatasetFrame", "StereoDataset"]
 
 @dataclass(frozen=True)
 class DatasetFrame:
-    """One pair.
+    """One stereo pair of a dataset.
 
     Attributes:
-        left, right: the images as the dataset has them: raw or rectified, as the rig of the dataset says.
-        truth_disparity_px: float32 (H, W), x_left - x_right of the rectified left image, NaN where unknown; None where
-            the dataset has no truth for this pair.
+        left, right: the images as the dataset stores them; the rig of the dataset states whether they are rectified.
+        truth_disparity_px: float32 (H, W), x_left - x_right in pixels of the rectified left image, NaN where unknown;
+            None where the dataset has no truth for this pair.
     """
 
     left: Frame
@@ -31,12 +31,12 @@ class DatasetFrame:
 
 
 class StereoDataset(Protocol):
-    """A folder of pairs that one calibration describes.
+    """Pairs of one rig.
 
     Attributes:
-        rig: the calibration.
-        has_stamps: the stamps of the frames are times; otherwise all are 0, and who needs times counts the frames.
-        files: all that is read.
+        rig: calibration of all pairs.
+        has_stamps: whether the frames have times; otherwise all stamps are 0.
+        files: all files that are read.
     """
 
     rig: StereoRig

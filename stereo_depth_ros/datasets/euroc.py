@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""EuRoC MAV sequences in the ASL layout: raw, distorted pairs of cam0 and cam1.
+"""EuRoC MAV sequences in the ASL layout: raw pairs of cam0 and cam1 with lens distortion.
 
 Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
 """
@@ -26,14 +26,14 @@ __all__ = ["EurocDataset"]
 
 
 class EurocDataset:
-    """A sequence; the pairs are those with equal stamps in both cameras, ``left_out`` counts the images without one.
+    """One sequence; a pair has equal stamps in both cameras, ``skipped`` counts the images without a partner.
 
     Args:
-        folder: what holds ``mav0``, or ``mav0`` itself.
+        folder: the folder that holds ``mav0``, or ``mav0`` itself.
 
     Raises:
-        BagError: not this layout, or a file that cannot be read.
-        CalibrationError: a calibration that does not fit the images.
+        BagError: another layout, or a file that cannot be read.
+        CalibrationError: a calibration for another image size.
     """
 
     has_stamps = True
@@ -41,12 +41,21 @@ class EurocDataset:
     def __init__(self, folder: Path) -> None:
         root = folder / "mav0" if (folder / "mav0").is_dir() else folder
         if missing := [name for name in ("cam0", "cam1") if not (root / name / "data.csv").exists()]:
-            raise BagError(f"{folder} is not an EuRoC sequence: no {', '.join(f'mav0/{x}/data.csv' for x in missing)}")
+            raise BagError(
+                f"is not an EuRoC sequence, it has no {', '.join(f'mav0/{name}/data.csv' for name in missing)}",
+                subject=str(folder),
+                remedy="name the folder that holds mav0",
+            )
         left, right = _read_index(root / "cam0"), _read_index(root / "cam1")
         self._pairs = [(stamp, left[stamp], right[stamp]) for stamp in sorted(left.keys() & right.keys())]
-        self.left_out = len(left.keys() ^ right.keys())
+        self.skipped = len(left.keys() ^ right.keys())
         if not self._pairs:
-            raise BagError(f"{folder}: none of {len(left)} left and {len(right)} right images have equal stamps")
+            raise BagError(
+                f"none of {len(left)} left and {len(right)} right images have equal stamps",
+                subject=str(folder),
+                value=0,
+                remedy="copy the images and data.csv of both cameras again",
+            )
         self.rig = _rig(root / "cam0" / "sensor.yaml", root / "cam1" / "sensor.yaml")
         check_sizes(self.rig, self._pairs[0][1])
         indices = [root / side / name for side in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml")]
@@ -61,13 +70,17 @@ class EurocDataset:
 
 
 def _read_index(camera: Path) -> dict[int, Path]:
-    """Image per stamp in nanoseconds; rows whose image is not there, as in an excerpt, are skipped."""
+    """Image file per stamp in nanoseconds; rows without an image file, as in an excerpt, are skipped."""
     with (camera / "data.csv").open(newline="") as file:
         rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
     try:
         images = {int(row[0]): camera / "data" / row[1].strip() for row in rows}
     except (ValueError, IndexError) as error:
-        raise BagError(f"{camera / 'data.csv'} is not rows of stamp and file name: {error}") from error
+        raise BagError(
+            f"its rows are not a stamp and a file name ({error})",
+            subject=str(camera / "data.csv"),
+            remedy="copy it again",
+        ) from error
     return {stamp_ns: path for stamp_ns, path in images.items() if path.exists()}
 
 
@@ -79,7 +92,7 @@ def _rig(left: Path, right: Path) -> StereoRig:
 
 
 def _read_sensor(path: Path) -> tuple[F64, F64, F64, tuple[int, int]]:
-    """K (3, 3), D (4,), T_body_camera (4, 4), size of a sensor.yaml."""
+    """K (3, 3), D (4,), T_body_camera (4, 4), (width, height) of a sensor.yaml."""
     try:
         # "%YAML:1.0", OpenCV's first line, is not YAML
         rows = [row for row in path.read_text().splitlines() if not row.startswith("%")]
@@ -90,7 +103,15 @@ def _read_sensor(path: Path) -> tuple[F64, F64, F64, tuple[int, int]]:
         D = np.array(sensor["distortion_coefficients"], np.float64)
         width, height = sensor["resolution"]
     except (OSError, YAMLError, KeyError, TypeError, ValueError) as error:
-        raise BagError(f"{path} is not an EuRoC camera: {error!r}") from error
+        raise BagError(
+            f"is not the sensor.yaml of an EuRoC camera ({error!r})", subject=str(path), remedy="copy it again"
+        ) from error
     if model != "radial-tangential":
-        raise BagError(f"{path}: distortion_model {model!r} is not read, it takes radial-tangential")
+        raise BagError(
+            f"distortion_model = {model!r} is not supported, supported is radial-tangential",
+            subject=str(path),
+            value=model,
+            limit="radial-tangential",
+            remedy="calibrate with this model",
+        )
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64), D, T_body_camera, (width, height)

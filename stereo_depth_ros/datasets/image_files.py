@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Image files: found, read, and held against a calibration."""
+"""Lists and reads image files, and checks their size against a calibration."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def list_images(folder: Path, pattern: str = "*") -> list[Path]:
 
 
 def read_image(path: Path) -> U8:
-    """uint8, (H, W) gray or (H, W, 3) in the order blue, green, red; deeper images are scaled to 8 bits.
+    """The pixels, uint8, (H, W) gray or (H, W, 3) BGR; images of more than 8 bits are scaled to 8 bits.
 
     Raises:
         BagError: not a readable image.
@@ -37,14 +37,20 @@ def read_image(path: Path) -> U8:
 
 
 def read_disparity_image(path: Path) -> npt.NDArray[Any]:
-    """The one channel of an image of disparities, (H, W), of the type that the file has.
+    """The levels of a disparity image, (H, W), in the dtype of the file.
 
     Raises:
         BagError: not a readable image of one channel.
     """
     image = _read(path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2:
-        raise BagError(f"{path} has {image.shape[2]} channels, a disparity image has one: copy it again")
+        raise BagError(
+            f"has {image.shape[2]} channels, a disparity image has one",
+            subject=str(path),
+            value=image.shape[2],
+            limit=1,
+            remedy="copy it again",
+        )
     return image
 
 
@@ -52,20 +58,24 @@ def _read(path: Path, flags: int) -> npt.NDArray[Any]:
     try:
         pixels = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), flags)
     except (OSError, cv2.error) as error:
-        raise BagError(f"{path} is not a readable image ({error}): copy it again") from error
+        raise BagError(f"is not a readable image ({error})", subject=str(path), remedy="copy it again") from error
     if pixels is None:
-        raise BagError(f"{path} is not a readable image: copy it again")
+        raise BagError("is not a readable image", subject=str(path), remedy="copy it again")
     return np.asarray(pixels)
 
 
 def read_frame(path: Path, camera: CameraModel, stamp_ns: int = 0) -> Frame:
-    """The image as a frame of ``camera``."""
+    """The image as a frame of ``camera``, mono8 or bgr8.
+
+    Raises:
+        BagError: not a readable image.
+    """
     pixels = read_image(path)
     return Frame(pixels, stamp_ns, camera.frame_id, "mono8" if pixels.ndim == 2 else "bgr8")
 
 
 def check_sizes(rig: StereoRig, path: Path) -> None:
-    """Refuses a calibration for images of another size than ``path`` has.
+    """Checks that the rig is calibrated for the size of the image ``path``.
 
     Raises:
         BagError: not a readable image.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plain folders of left and right images with the two calibration files of ROS."""
+"""Folders of left and right images with the two calibration files of camera_calibration."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ __all__ = ["ImagesDataset"]
 
 
 class ImagesDataset:
-    """Images in DIR/left and DIR/right, or DIR/left*.png with DIR/right*.png, paired by their names.
+    """Images in left/ and right/, or left*.png and right*.png, paired by their names.
 
-    Where DIR has neither, other names that :func:`find_image_pairs` takes, in it or below; ``left_out`` counts the
-    images without a partner, ``warnings`` names them.
+    Without these, all names that :func:`find_image_pairs` knows. ``skipped`` counts the images without a partner,
+    ``warnings`` names them.
 
     Args:
-        folder: what holds the images, and ``left.yaml`` and ``right.yaml``.
-        left_yaml, right_yaml: calibration files in another place.
+        folder: holds the images, and ``left.yaml`` and ``right.yaml``.
+        left_yaml, right_yaml: other calibration files.
 
     Raises:
-        BagError: no pairs, two images that could be the same one of a pair, or no calibration.
-        CalibrationError: a calibration that does not fit the images.
+        BagError: no pairs, two images of one side in a pair, or no calibration.
+        CalibrationError: a calibration for another image size.
     """
 
     has_stamps = False
@@ -38,9 +38,14 @@ class ImagesDataset:
         found = _find_pairs(folder)
         files = left_yaml or folder / "left.yaml", right_yaml or folder / "right.yaml"
         if missing := [str(path) for path in files if not path.exists()]:
-            raise BagError(f"no calibration {', '.join(missing)}: write it with camera_calibration, or name another")
-        self._pairs, self.left_out, self.warnings = found.pairs, len(found.left_out), found.warnings
-        self.files = [*files, *(path for pair in found.pairs for path in pair), *found.left_out]
+            raise BagError(
+                f"no calibration {', '.join(missing)}",
+                value=missing,
+                remedy="write it with camera_calibration, or name another file",
+                settings=("left_yaml", "right_yaml"),
+            )
+        self._pairs, self.skipped, self.warnings = found.pairs, len(found.skipped), found.warnings
+        self.files = [*files, *(path for pair in found.pairs for path in pair), *found.skipped]
         self.rig = _named(StereoRig.from_yaml(*files))
         for path in self._pairs[0]:
             check_sizes(self.rig, path)
@@ -54,13 +59,13 @@ class ImagesDataset:
 
 
 def _named(rig: StereoRig) -> StereoRig:
-    """The same rig in an optical frame: the files name none."""
+    """The same rig with a frame_id: calibration files have none."""
     left, right = (replace(camera, frame_id="left_optical_frame") for camera in (rig.left, rig.right))
     return replace(rig, left=left, right=right)
 
 
 def _find_pairs(folder: Path) -> ImagePairs:
-    """Those of the first place that has images of both sides, so that copies in other folders are no frames."""
+    """The pairs of the first layout that has images of both sides, so that copies in other folders are ignored."""
     for left, right in (("left/*", "right/*"), ("left*", "right*")):
         if all(list_images(folder, pattern) for pattern in (left, right)):
             return find_image_pairs(folder, left, right)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""KITTI: odometry sequences, stereo 2012 and 2015, and raw drives, rectified or not.
+"""KITTI: odometry sequences, stereo benchmarks of 2012 and 2015, raw drives with or without rectification.
 
 Geiger et al., "Vision meets robotics: the KITTI dataset", IJRR 2013.
 """
@@ -36,16 +36,16 @@ _TRUTH_FOLDERS = ("disp_occ_0", "disp_occ")
 class KittiDataset:
     """A sequence, or the training pairs of a stereo benchmark.
 
-    The stereo benchmarks have a calibration file per pair; the pairs that share the calibration of the first one are
-    read, ``left_out`` counts the others. Stamps go by the frame numbers in the names, so that excerpts keep theirs.
+    The stereo benchmarks have one calibration file per pair; pairs with the calibration of the first one are read,
+    ``skipped`` counts the others. Stamps follow the frame numbers in the names, so that excerpts keep theirs.
 
     Args:
-        folder: what holds ``image_0`` and ``image_1`` (or ``image_2``/``image_3``, ``image_l``/``image_r``,
+        folder: the folder that holds ``image_0`` and ``image_1`` (or ``image_2``/``image_3``, ``image_l``/``image_r``,
             ``image_00/data``/``image_01/data``).
 
     Raises:
-        BagError: no known layout, no calibration, a name that is no frame number, or a file that cannot be read.
-        CalibrationError: a calibration that does not fit the images.
+        BagError: unknown layout, no calibration, a name without frame number, or a file that cannot be read.
+        CalibrationError: a calibration that is not that of a rectified pair.
     """
 
     has_stamps = True
@@ -56,11 +56,15 @@ class KittiDataset:
         numbers = frame_numbers(list_images(folder / left))
         names = [name for name in numbers if (folder / right / name).exists()]
         if not names:
-            raise BagError(f"{folder} is not a KITTI folder: it has no pairs in image_0 and image_1 or the like")
+            raise BagError(
+                "is not a KITTI folder, it has no pairs in image_0 and image_1 or the like",
+                subject=str(folder),
+                remedy=f"name the folder that holds {' or '.join(f'{x[0]} and {x[1]}' for x in _LAYOUTS)}",
+            )
         calibrations = {name: _find_calibration(folder, name) for name in names}
         first = calibrations[names[0]].read_bytes()
         kept = [name for name in names if calibrations[name].read_bytes() == first]
-        self.left_out = len(names) - len(kept)
+        self.skipped = len(names) - len(kept)
         self._pairs = [(folder / left / name, folder / right / name) for name in kept]
         self._stamps = read_stamps(folder, Path(left).parent, numbers, names)
         truths = [folder / truth / name for truth in _TRUTH_FOLDERS for name in kept]
@@ -88,10 +92,10 @@ class KittiDataset:
 
 
 def read_calibration(path: Path) -> dict[str, F64]:
-    """The numbers of a calibration file by name; rows without names are P0, P1, ...
+    """The values of a calibration file by name, float64 (N,); rows without names are P0, P1, ...
 
     Raises:
-        BagError: a row that is not numbers.
+        BagError: a row with text that is not a number.
     """
     values: dict[str, F64] = {}
     for row in path.read_text().splitlines():
@@ -101,30 +105,37 @@ def read_calibration(path: Path) -> dict[str, F64]:
         try:
             values[name.strip() if colon else f"P{len(values)}"] = np.array(numbers.split(), np.float64)
         except ValueError as error:
-            raise BagError(f"{path} is not a KITTI calibration, row {row[:40]!r}: {error}") from error
+            raise BagError(
+                f"is not a KITTI calibration, row {row[:40]!r} ({error})", subject=str(path), remedy="copy it again"
+            ) from error
     return values
 
 
 def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size: tuple[int, int]) -> StereoRig:
     """The rig of two cameras.
 
-    Images of the size S_rect, and all of odometry, are rectified; images of the size S are raw and have K, D, R_rect.
-    The rows of the color cameras are aligned; the millimeters that their P has vertically are left out.
+    Images of size S_rect, and all of odometry, are rectified; images of size S are raw and have K, D, R_rect. The
+    vertical offset of some millimeters in P of the color cameras is ignored: their rows are aligned.
 
     Args:
-        values: what :func:`read_calibration` gives.
+        values: result of :func:`read_calibration`.
         cameras: numbers of the left and the right camera.
-        size: width, height of the images, px.
+        size: (width, height) of the images, pixels.
 
     Raises:
         BagError: the calibration lacks these cameras.
-        CalibrationError: it cannot be that of a rectified pair.
+        CalibrationError: the calibration is not that of a rectified pair.
     """
     left, right = cameras
     try:
         P_left, P_right = (_projection(values, camera) for camera in cameras)
     except KeyError as error:
-        raise BagError(f"the KITTI calibration has no {error.args[0]}: it has {', '.join(values)}") from error
+        raise BagError(
+            f"the KITTI calibration has no {error.args[0]}, it has {', '.join(values)}",
+            value=list(values),
+            limit=error.args[0],
+            remedy="copy the calibration of these cameras",
+        ) from error
     baseline_m = (P_left[0, 3] - P_right[0, 3]) / P_left[0, 0]
     rig = StereoRig.from_rectified(
         P_left[0, 0], P_left[1, 1], P_left[0, 2], P_right[0, 2], P_left[1, 2], baseline_m, size
@@ -155,7 +166,7 @@ def _raw_camera(values: dict[str, F64], camera: int, rectified: CameraModel) -> 
 
 
 def _find_calibration(folder: Path, image: str) -> Path:
-    """Of the sequence, of the pair (its name without the number of the frame), or of the drive's day."""
+    """The calibration file of the sequence, of the pair (the name without frame number) or of the day of the drive."""
     pair = image.partition("_")[0].partition(".")[0] + ".txt"
     places = [
         folder / "calib.txt",
@@ -167,18 +178,24 @@ def _find_calibration(folder: Path, image: str) -> Path:
     for place in places:
         if place.exists():
             return place
-    raise BagError(f"no calibration for {folder}: put calib.txt or calib_cam_to_cam.txt there")
+    raise BagError("has no calibration", subject=str(folder), remedy="add calib.txt or calib_cam_to_cam.txt")
 
 
 def read_truth(path: Path) -> F32:
-    """True disparities of the stereo benchmarks, float32 (H, W), px, NaN where unknown.
+    """True disparities of the stereo benchmarks, float32 (H, W), pixels, NaN where unknown.
 
-    The 16-bit images hold 256 levels a pixel, 0 is unknown.
+    The files are 16-bit images of 256 levels per pixel of disparity; 0 is unknown.
 
     Raises:
         BagError: not a readable 16-bit image.
     """
     image = read_disparity_image(path)
     if image.dtype != np.uint16:
-        raise BagError(f"{path} is {image.dtype}, KITTI's disparities are uint16: copy it again")
+        raise BagError(
+            f"is {image.dtype}, the disparities of KITTI are uint16",
+            subject=str(path),
+            value=str(image.dtype),
+            limit="uint16",
+            remedy="copy it again",
+        )
     return np.where(image > 0, image.astype(np.float32) / 256, np.float32(np.nan))

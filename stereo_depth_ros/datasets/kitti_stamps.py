@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""When KITTI's frames were taken: by the numbers in their names, and the file of times where there is one."""
+"""Stamps of KITTI frames, from their numbers and the file of times if there is one."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["frame_numbers", "read_stamps"]
 
 _NAME = re.compile(r"(\d+)(?:_(\d+))?")  # 000103 of a sequence; 000103_10, frame 10 of scene 103 of a benchmark
 _PERIOD_NS = 10**8  # the cameras run at 10 Hz
-_FIRST_STAMP_NS = 10**9  # where a sequence counts from 0: a ROS time of 0 means that no time is set
+_FIRST_STAMP_NS = 10**9  # of a sequence that counts from 0: a ROS time of 0 means that no time is set
 
 
 def frame_numbers(images: list[Path]) -> dict[str, int]:
     """The number of each image by its file name, in the order of the numbers.
 
-    The scenes of the stereo benchmarks are numbered one after the other; of each as many frames are counted as lie
-    between the lowest and the highest frame that any scene has here: one, where all names end in _10.
+    The scenes of the stereo benchmarks are numbered one after the other. Each counts as many frames as there are
+    between the lowest and the highest frame number of all scenes: one where all names end in _10.
 
     Raises:
         BagError: a name without a number, or two names with the same one.
@@ -33,31 +33,37 @@ def frame_numbers(images: list[Path]) -> dict[str, int]:
     for path, (scene, frame) in parts.items():
         other = numbered.setdefault(scene * frames + frame - first, path)
         if other is not path:
-            raise BagError(f"{other} and {path} have the same frame number: remove one of them")
+            raise BagError(f"{other} and {path} have the same frame number", remedy="remove one of them")
     return {path.name: number for number, path in sorted(numbered.items())}
 
 
 def _scene_and_frame(path: Path) -> tuple[int, int]:
     match = _NAME.fullmatch(path.stem)
     if match is None:
-        raise BagError(f"{path} has no frame number: KITTI's images are named 000000.png or 000000_10.png, rename it")
+        raise BagError(
+            "has no frame number, images of KITTI are named 000000.png or 000000_10.png",
+            subject=str(path),
+            value=path.stem,
+            limit=_NAME.pattern,
+            remedy="rename it",
+        )
     return int(match[1]), int(match[2] or 0)
 
 
 def read_stamps(folder: Path, camera: Path, numbers: dict[str, int], names: list[str]) -> dict[str, int]:
-    """Nanoseconds of each pair by its file name: times.txt (odometry), timestamps.txt (raw), else 10 Hz.
+    """Stamp of each pair in nanoseconds, by file name: of times.txt (odometry), timestamps.txt (raw), or else 10 Hz.
 
-    Rows of the file of times belong to the frame numbers. An excerpt whose file has too few rows for that, but as many
-    as there are images, has a file of its own: its rows belong to the images in their order.
+    The rows of the file of times are indexed by frame number. If it has too few rows for that, but as many as there are
+    images, it belongs to an excerpt: its rows are those of the images in their order.
 
     Args:
         folder: the sequence.
         camera: folder of the left camera within it.
-        numbers: of all left images, as :func:`frame_numbers` gives them.
-        names: of the images that have a partner, at least one.
+        numbers: frame numbers of all left images, of :func:`frame_numbers`.
+        names: names of the images that have a partner, at least one.
 
     Raises:
-        BagError: a file that is not times, or has too few.
+        BagError: a file that is not a list of times, or has too few.
     """
     path, times = _read_times(folder, camera)
     if path is None:
@@ -67,8 +73,11 @@ def read_stamps(folder: Path, camera: Path, numbers: dict[str, int], names: list
         numbers = {name: row for row, name in enumerate(numbers)}
     elif last >= len(times):
         raise BagError(
-            f"{path} has {len(times)} times for {len(names)} pairs, the last of which is frame {last}: copy it again, "
-            "or remove it to have 10 Hz"
+            f"has {len(times)} times for {len(names)} pairs, the last of which is frame {last}",
+            subject=str(path),
+            value=len(times),
+            limit=last + 1,
+            remedy="copy it again, or remove it for stamps at 10 Hz",
         )
     return {name: times[numbers[name]] for name in names}
 
@@ -81,7 +90,7 @@ def _read_times(folder: Path, camera: Path) -> tuple[Path | None, list[int]]:
         if (path := folder / camera / "timestamps.txt").exists():
             return path, [_parse_date(row) for row in path.read_text().splitlines() if row.strip()]
     except ValueError as error:
-        raise BagError(f"{path} is not a list of times: {error}") from error
+        raise BagError(f"is not a list of times ({error})", subject=str(path), remedy="copy it again") from error
     return None, []
 
 

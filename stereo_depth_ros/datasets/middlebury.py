@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Middlebury stereo scenes of 2001 to 2014, and ETH3D two-view scenes, which have the layout of 2014.
+"""Middlebury stereo scenes of 2001 to 2014, and ETH3D two-view scenes, which have the 2014 layout.
 
 Middlebury writes Z = f B / (d + doffs) with doffs = cx_right - cx_left; a rig's ``doffs_px`` is the negative of it.
 Scharstein and Szeliski, "A taxonomy and evaluation of dense two-frame stereo correspondence algorithms", IJCV 2002;
@@ -27,20 +27,20 @@ _VIEW_FOCAL_PX, _VIEW_BASELINE_M = 3740.0, 0.160
 
 
 class MiddleburyDataset:
-    """One scene: one pair, its truth, its calibration.
+    """One scene: one pair with its truth and calibration.
 
-    The calibration is that of ``calib.txt``. Scenes of 2005 and 2006 have none, there the published focal length and
-    baseline are used with the scene's ``dmin.txt``. All others need the arguments.
+    The calibration is read from ``calib.txt``. Scenes of 2005 and 2006 have none and use the published focal length and
+    baseline with their ``dmin.txt``. All others need the arguments.
 
     Args:
-        folder: the scene.
-        calibration_file: a ``calib.txt`` in another place.
-        focal_px, baseline_m: instead of a file; the principal point is then the middle of the left image.
-        doffs: cx_right - cx_left, px, to go with them.
+        folder: folder of the scene.
+        calibration_file: another ``calib.txt``.
+        focal_px, baseline_m: used instead of a file, with the principal point in the center of the left image.
+        doffs: cx_right - cx_left, pixels, for use with these.
 
     Raises:
-        BagError: no known layout, or a file that cannot be read.
-        CalibrationError: a calibration that does not fit the images.
+        BagError: unknown layout, no calibration, or a file that cannot be read.
+        CalibrationError: a calibration for another image size.
     """
 
     has_stamps = False
@@ -75,14 +75,23 @@ class MiddleburyDataset:
         yield DatasetFrame(left, right, self.scene.truth())
 
     def _published_rig(self, folder: Path, size: tuple[int, int], doffs: float | None) -> StereoRig:
-        options = "give --focal-px and --baseline-m (and --doffs, where the principal points differ)"
+        remedy = "give focal length and baseline (and doffs where the principal points differ)"
+        settings = ("focal_px", "baseline_m", "doffs")
         if not self.scene.left_path.stem == "view1":
-            raise BagError(f"{folder} has no calib.txt: put the scene's own there, or {options}")
+            raise BagError(
+                "has no calib.txt",
+                subject=str(folder),
+                remedy=f"add the calib.txt of the scene, or {remedy}",
+                settings=settings,
+            )
         scale = view_scale(size[0])
         dmin = folder / "dmin.txt"
         if doffs is None and not dmin.exists():
             raise BagError(
-                f"{folder} has neither calib.txt nor dmin.txt, its depth is not metric: put one there, or {options}"
+                "has neither calib.txt nor dmin.txt, so that its depth is not metric",
+                subject=str(folder),
+                remedy=f"add one of them, or {remedy}",
+                settings=settings,
             )
         offset = doffs if doffs is not None else _read_number(dmin) / scale
         return _centered_rig(_VIEW_FOCAL_PX / scale, _VIEW_BASELINE_M, offset, size)
@@ -94,7 +103,7 @@ def _centered_rig(focal_px: float, baseline_m: float, doffs: float, size: tuple[
 
 
 def _read_rig(path: Path, size: tuple[int, int]) -> StereoRig:
-    """From a calib.txt: cam0, cam1 as [fx 0 cx; 0 fy cy; 0 0 1], baseline in millimeters."""
+    """The rig of a calib.txt: cam0, cam1 as [fx 0 cx; 0 fy cy; 0 0 1], baseline in millimeters."""
     values = dict(line.split("=", 1) for line in path.read_text().splitlines() if "=" in line)
     try:
         K_left, K_right = (
@@ -104,7 +113,13 @@ def _read_rig(path: Path, size: tuple[int, int]) -> StereoRig:
         baseline_m = float(values["baseline"]) / 1000
         calibrated = (int(values.get("width", size[0])), int(values.get("height", size[1])))
     except (KeyError, ValueError) as error:
-        raise BagError(f"{path} is not a Middlebury calibration ({error}): it has cam0, cam1, baseline") from error
+        raise BagError(
+            f"is not a Middlebury calibration, which has cam0, cam1 and baseline ({error})",
+            subject=str(path),
+            value=list(values),
+            limit=("cam0", "cam1", "baseline"),
+            remedy="copy it again",
+        ) from error
     rig = StereoRig.from_rectified(
         K_left[0, 0], K_left[1, 1], K_left[0, 2], K_right[0, 2], K_left[1, 2], baseline_m, calibrated
     )
@@ -116,4 +131,4 @@ def _read_number(path: Path) -> float:
     try:
         return float(path.read_text())
     except ValueError as error:
-        raise BagError(f"{path} does not hold one number: {error}") from error
+        raise BagError(f"does not hold one number ({error})", subject=str(path), remedy="copy it again") from error

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a Middlebury (2001 to 2014) or ETH3D two-view scene: images, truth and masks, no calibration."""
+"""Files of a Middlebury (2001 to 2014) or ETH3D two-view scene: images, truth and masks, without calibration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stereo_depth_ros.datasets.image_files import read_disparity_image, read_ima
 
 __all__ = ["MiddleburyScene", "view_scale"]
 
-# left, right, truth; the first that is there
+# left, right, truth; the first match is used
 _LAYOUTS = (
     ("im0.*", "im1.*", "disp0.pfm"),
     ("im0.*", "im1.*", "disp0GT.pfm"),
@@ -28,24 +28,24 @@ _LAYOUTS = (
     ("scene1.row3.col3.*", "scene1.row3.col5.*", "truedisp.row3.col3.*"),
     ("*_left.png", "*_right.png", "*_disp.npz"),
 )
-# 2014 and ETH3D; the second evaluation; 2003. All are white where both cameras see the point.
+# of 2014 and ETH3D; of the second evaluation; of 2003. All are white where both cameras see the point.
 _VISIBLE_MASKS = ("mask0nocc.png", "nonocc.png", "occl.png")
 _WHITE = 255
 
 
 class MiddleburyScene:
-    """One pair with what is known of it.
+    """One pair with its truth and its mask, where it has them.
 
     Args:
-        folder: the scene.
+        folder: folder of the scene.
 
     Attributes:
         left_path, right_path: the images.
-        truth_path: the true disparities of the left image; None where there are none.
-        files: all that is read.
+        truth_path: file of the true disparities of the left image; None without truth.
+        files: all files that are read.
 
     Raises:
-        BagError: no known layout.
+        BagError: unknown layout.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -56,12 +56,12 @@ class MiddleburyScene:
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        """Width and height of the left image, px."""
+        """(width, height) of the left image, pixels."""
         height, width = read_image(self.left_path).shape[:2]
         return width, height
 
     def truth(self) -> F32 | None:
-        """float32 (H, W), x_left - x_right, px, NaN where unknown; None where the scene has no truth.
+        """True disparities, float32 (H, W), x_left - x_right in pixels, NaN where unknown; None without truth.
 
         Raises:
             BagError: a file that cannot be read.
@@ -69,7 +69,11 @@ class MiddleburyScene:
         return None if self.truth_path is None else _read_truth(self.truth_path, self._truth_scale())
 
     def visible(self) -> npt.NDArray[np.bool_] | None:
-        """bool (H, W), true where the scene's own mask says that both cameras see the point; None without a mask."""
+        """Mask of the scene, bool (H, W), true where both cameras see the point; None without a mask.
+
+        Raises:
+            BagError: a file that cannot be read.
+        """
         path = next((self.folder / name for name in _VISIBLE_MASKS if (self.folder / name).exists()), None)
         if path is None:
             return None
@@ -77,17 +81,17 @@ class MiddleburyScene:
         return np.equal(mask if mask.ndim == 2 else mask[..., 0], _WHITE)
 
     def _truth_scale(self) -> float:
-        """Gray levels per pixel of disparity, as the dataset's pages give them for each year and size."""
+        """Gray levels per pixel of disparity, as published for each year and size."""
         width, name = self.size[0], self.left_path.stem
         if name == "view1":
             return view_scale(width)
         if name == "scene1.row3.col3":
             return 16 if self.right_path.stem.endswith("col4") else 8
-        return {450: 4, 900: 2, 1800: 1}.get(width, 8)  # 2003 has these widths, 2001 smaller ones
+        return {450: 4, 900: 2, 1800: 1}.get(width, 8)  # scenes of 2003 have these widths, those of 2001 smaller ones
 
 
 def view_scale(width: int) -> int:
-    """How many times smaller than full size (about 1240 to 1400 px) an image of 2005 or 2006 is."""
+    """Factor by which an image of 2005 or 2006 is smaller than full size (about 1240 to 1400 px wide)."""
     return 1 if width > 1000 else 2 if width > 550 else 3
 
 
@@ -98,11 +102,16 @@ def _find_layout(folder: Path) -> tuple[Path, Path, Path | None]:
             if left and right and (truth or not layout[2]):
                 return left, right, truth or None
     known = "; ".join(f"{left} with {right}" for left, right, _ in dict.fromkeys(_LAYOUTS))
-    raise BagError(f"{folder} is not a Middlebury scene: it holds none of {known}")
+    raise BagError(
+        f"is not a Middlebury scene, it holds none of {known}",
+        subject=str(folder),
+        limit=known,
+        remedy="name the folder of one scene",
+    )
 
 
 def _scene_names(folder: Path, left: str) -> list[str]:
-    """What a pattern like *_left.png has in front, which all files of a scene share; nothing for other patterns."""
+    """The prefixes that a pattern like *_left.png matches, one per scene; an empty one for other patterns."""
     if not left.startswith("*"):
         return [""]
     return sorted(path.name.removesuffix(left[1:]) for path in folder.glob(left))
@@ -116,7 +125,7 @@ def _single(folder: Path, scene: str, pattern: str) -> Path | None:
 
 
 def _read_truth(path: Path, scale: float) -> F32:
-    """float32 (H, W), NaN where unknown: infinite in .pfm and .npz, 0 in images of ``scale`` levels a pixel."""
+    """float32 (H, W), NaN where unknown: infinite in .pfm and .npz, 0 in images of ``scale`` levels per pixel."""
     if path.suffix == ".npz":
         truth = _read_npz(path)
     else:
@@ -132,4 +141,6 @@ def _read_npz(path: Path) -> F32:
         with np.load(path) as arrays:
             return np.array(arrays[arrays.files[0]], np.float32)
     except (OSError, ValueError, IndexError, BadZipFile) as error:
-        raise BagError(f"{path} is not a readable array of disparities ({error}): copy it again") from error
+        raise BagError(
+            f"is not a readable array of disparities ({error})", subject=str(path), remedy="copy it again"
+        ) from error

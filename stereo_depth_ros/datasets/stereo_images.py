@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of images before there is a calibration: image files in a folder, or the raw images of a bag."""
+"""Image pairs for calibration: image files of a folder, or the raw images of a bag."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Protocol
 
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.sources import bag_files, is_bag
-from stereo_depth_ros.bags.topics import find_stereo_topics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import BagError, TopicError
 from stereo_depth_ros.core.images import to_gray
@@ -24,12 +23,13 @@ from stereo_depth_ros.messages.image import decode
 
 __all__ = ["BagImages", "FolderImages", "ImagePair", "StereoImages", "open_stereo_images"]
 
-_TOLERANCE_S = 0.005  # cameras that are exposed by one trigger, stamped by two clocks
+_SETTINGS = ("left", "right")
+_TOLERANCE_S = 0.005  # for cameras with one trigger and two clocks
 
 
 @dataclass(frozen=True)
 class ImagePair:
-    """Images of both cameras, uint8 (H, W) gray, not necessarily of one size, and how messages name the pair."""
+    """Images of both cameras, uint8 (H, W) gray, not necessarily of one size, and a name for messages to the user."""
 
     name: str
     left: U8
@@ -40,9 +40,9 @@ class StereoImages(Protocol):
     """Pairs of images.
 
     Attributes:
-        warnings: what was left out, a sentence each; final when all pairs have been read.
-        dense: a recording, in which one image is like the next.
-        files: all that is read.
+        warnings: a sentence for everything that was skipped; final when all pairs have been read.
+        dense: whether the pairs are a recording, in which successive images are similar.
+        files: all files that are read.
     """
 
     warnings: list[str]
@@ -50,10 +50,10 @@ class StereoImages(Protocol):
     files: list[Path]
 
     def __len__(self) -> int:
-        """Number of pairs, or an upper bound of it."""
+        """Number of pairs, or an upper bound."""
 
     def __iter__(self) -> Iterator[ImagePair]:
-        """The pairs in their order."""
+        """The pairs in order."""
 
 
 def open_stereo_images(place: Path, left: str | None = None, right: str | None = None) -> StereoImages:
@@ -61,13 +61,13 @@ def open_stereo_images(place: Path, left: str | None = None, right: str | None =
 
     Args:
         place: a bag, or a folder of image files.
-        left, right: topics of the bag, or patterns of file names within the folder; None finds them.
+        left, right: image topics of the bag, or patterns of file names in the folder; None finds them.
 
     Raises:
-        BagError, TopicError: nothing there, or no pairs.
+        BagError, TopicError: nothing there, or no pairs in it.
     """
     if not place.exists():
-        raise BagError(f"{place} does not exist: name a folder of images, or a bag")
+        raise BagError("does not exist", subject=str(place), remedy="name a folder of images, or a bag")
     if place.is_file() or is_bag(place):
         return BagImages(place, left, right)
     return FolderImages(place, left, right)
@@ -77,8 +77,8 @@ class FolderImages:
     """Image files in a folder or below it, paired by :func:`find_image_pairs`.
 
     Args:
-        folder: where they are.
-        left, right: patterns such as "a/*.png" and "b/*.png"; None goes by the words for the cameras.
+        folder: holds the images.
+        left, right: patterns such as "a/*.png" and "b/*.png"; None uses the words for the cameras.
 
     Raises:
         BagError: one pattern alone, or what :func:`find_image_pairs` raises.
@@ -89,12 +89,23 @@ class FolderImages:
     def __init__(self, folder: Path, left: str | None = None, right: str | None = None) -> None:
         if (left is None) != (right is None):
             raise BagError(
-                "--left or --right alone does not tell the other camera's files: give both patterns, or none"
+                "one pattern alone does not name the files of the other camera",
+                value=(left, right),
+                remedy="give both patterns, or none",
+                settings=_SETTINGS,
             )
         try:
             found = find_image_pairs(folder, left, right)
         except BagError as error:
-            raise BagError(f"{error}, or give --left and --right patterns" if left is None else str(error)) from error
+            if left is not None:
+                raise
+            raise BagError(
+                error.problem,
+                subject=error.subject,
+                value=error.value,
+                remedy=f"{error.remedy}, or give patterns for both cameras",
+                settings=_SETTINGS,
+            ) from error
         self._pairs, self.warnings = found.pairs, found.warnings
         self.files = [path for pair in self._pairs for path in pair]
 
@@ -112,7 +123,7 @@ def _gray(path: Path) -> U8:
 
 
 class BagImages:
-    """The raw images of a bag, paired by their stamps, which may differ by 5 ms; camera infos are not needed.
+    """The raw images of a bag, paired by stamps that differ by up to 5 ms; camera infos are not needed.
 
     Args:
         path: the bag.
@@ -128,17 +139,16 @@ class BagImages:
         self._path = path
         self.files = bag_files(path)
         with BagReader(path) as reader:
-            types = {name: info.msgtype for name, info in reader.topics.items()}
             self.warnings = [reader.warning] if reader.warning else []
-            try:
-                self._topics = find_stereo_topics(types, left, right)
-            except TopicError as error:
-                raise TopicError(f"{path}: {error}") from error
+            self._topics = reader.stereo_topics(left, right)
             self._count = reader.topics[self._topics.left_image].count
         if self._topics.rectified:
             raise TopicError(
-                f"{path}: {self._topics.left_image} is rectified already: calibrate with raw images, record the topics "
-                "before rectification or name them with --left and --right"
+                f"{self._topics.left_image} is rectified already",
+                subject=str(path),
+                value=self._topics.left_image,
+                remedy="calibrate with raw images: record the topics before rectification, or name them",
+                settings=_SETTINGS,
             )
 
     def __len__(self) -> int:

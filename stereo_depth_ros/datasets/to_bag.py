@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes a dataset as a bag: images, camera infos, and the truth where it is known."""
+"""Writes a dataset as a bag: images, camera infos, and the true disparities where they are known."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from stereo_depth_ros.messages.image import image_message
 __all__ = ["convert_dataset"]
 
 _FIRST_STAMP_NS = 10**9  # a ROS time of 0 means that no time is set
-_TRUTH_STEP_PX = 1 / 256  # the finest steps in which any of the datasets stores its truth
+_TRUTH_STEP_PX = 1 / 256  # the smallest step in which one of the datasets stores its truth
 
 
 def convert_dataset(
@@ -35,14 +35,14 @@ def convert_dataset(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
-    """Writes ``image_raw`` and ``camera_info`` of ``/left`` and ``/right``, and, where known, ``/truth/disparity``.
+    """Writes ``image_raw`` and ``camera_info`` in ``/left`` and ``/right``, and ``/truth/disparity`` where it is known.
 
     Args:
-        dataset: what to write.
-        out: the bag to make, ``.mcap``.
+        dataset: the dataset to write.
+        out: the bag to create, ``.mcap``.
         rate_hz: pairs per second where the dataset has no times.
         overwrite: replace an existing bag.
-        progress: called with the number of pairs written and of all pairs, after each.
+        progress: called after each pair with the pairs written and all pairs.
 
     Returns:
         The number of pairs written.
@@ -53,7 +53,13 @@ def convert_dataset(
         OutputError: the bag exists and ``overwrite`` is false, or it is read, or it cannot be written.
     """
     if not (rate_hz > 0 and math.isfinite(rate_hz)):
-        raise ConfigError(f"rate_hz = {rate_hz} is not above 0: set pairs per second, for example 10")
+        raise ConfigError(
+            f"rate_hz = {rate_hz} is not a finite number above 0",
+            value=rate_hz,
+            limit=0,
+            remedy="set pairs per second, for example 10",
+            settings=("rate_hz",),
+        )
     check_bag_output(out, dataset.files, overwrite=overwrite)
     count = 0
     with BagWriter(out, overwrite=overwrite) as bag:
@@ -67,7 +73,7 @@ def convert_dataset(
 
 
 class _PairWriter:
-    """Puts the messages of a pair into the bag."""
+    """Writes the messages of one pair."""
 
     def __init__(self, bag: BagWriter, rig: StereoRig) -> None:
         self._bag = bag

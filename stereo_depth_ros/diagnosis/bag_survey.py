@@ -12,8 +12,7 @@ import numpy as np
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagReader
-from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
-from stereo_depth_ros.core.errors import TopicError
+from stereo_depth_ros.bags.topics import StereoTopics
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 from stereo_depth_ros.diagnosis.survey import NEAR, PAIRS_EXAMINED, StereoSetup, Survey
@@ -42,11 +41,7 @@ def survey_bag(
         TopicError: no stereo pair in it.
     """
     with BagReader(path) as reader:
-        types = {name: info.msgtype for name, info in reader.topics.items()}
-        try:
-            topics = find_stereo_topics(types, left, right)
-        except TopicError as error:
-            raise error.about(path) from error
+        topics = reader.stereo_topics(left, right)
         survey = Survey(str(path), topics, RosbagsTypes().deserialize)
         if reader.warning:
             warning = Finding("bag", Level.WARNING, reader.warning, "whole", "record again, or repair it")

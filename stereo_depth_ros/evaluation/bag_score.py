@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How good the disparities in a bag are: valid fraction, and errors where a bag has the truth."""
+"""Scores the disparities of a bag: valid fraction, and errors where the true disparities are known."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class BagScore:
     """Means over the frames of a bag; NaN over no frames.
 
     Attributes:
-        frames: disparity images.
+        frames: number of disparity images.
         valid_fraction: share of pixels with a disparity, 0..1.
-        truth_frames: those of them that have a truth of the same stamp.
-        density: share of truth pixels that have a disparity, 0..1.
-        median_px, avg_px: median and mean absolute error of the matched truth pixels, px.
-        bad_2: percent of the matched truth pixels that are wrong by more than 2 px.
+        truth_frames: number of them with true disparities of the same stamp.
+        density: share of the pixels with truth that have a disparity, 0..1.
+        median_px, avg_px: median and mean absolute error of the matched pixels with truth, pixels.
+        bad_2: percentage of the matched pixels with truth that are wrong by more than 2 px.
     """
 
     frames: int
@@ -44,16 +44,16 @@ class BagScore:
 
 
 def score_disparity(path: Path, truth: Path, topic: str = "/disparity") -> BagScore:
-    """Score the DisparityImages of a bag against ``/truth/disparity`` of another; both as published.
+    """Score the DisparityImages of a bag against ``/truth/disparity`` of another one.
 
     Args:
-        path: the bag with the disparities.
-        truth: the bag that may have the truth, with equal stamps.
-        topic: the disparities.
+        path: bag with the disparities.
+        truth: bag that may have true disparities, with equal stamps.
+        topic: topic of the disparities.
 
     Raises:
         BagError: a bag that cannot be read.
-        ImageError: truth of another size.
+        ImageError: true disparities of another size.
     """
     valid: list[float] = []
     errors: list[DisparityErrors] = []
@@ -77,7 +77,7 @@ def score_disparity(path: Path, truth: Path, topic: str = "/disparity") -> BagSc
 
 
 def _disparities(path: Path, topic: str) -> Iterator[tuple[int, F32]]:
-    """Stamp and published disparities, in the order of the bag; none where it lacks the topic."""
+    """Stamp and published disparities in the order of the bag; none without the topic."""
     with BagReader(path) as reader:
         if topic in reader.topics:
             for message in reader.messages([topic]):

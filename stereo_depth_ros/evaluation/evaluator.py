@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs a method on a scene: its search range, its time, its errors, and what its confidence is worth."""
+"""Evaluates a matcher on a scene: search range, run time, errors, quality of the confidence."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ __all__ = ["Confidence", "Evaluation", "evaluate", "search_range"]
 
 _STEP = 16  # search ranges are multiples of it
 _LEAST = 32
-_RUNS, _ENOUGH_S = 5, 2.0  # timed runs, and the seconds after which there are no more
-_CURVE = tuple(step / 20 for step in range(1, 21))  # shares kept at which a curve is told
+_RUNS, _ENOUGH_S = 5, 2.0  # number of timed runs, and the total seconds after which no further one starts
+_CURVE = tuple(step / 20 for step in range(1, 21))  # shares of pixels kept at which a curve is sampled
 
 
 @dataclass(frozen=True)
 class Confidence:
-    """What the confidence of a method is worth, over the matched truth pixels.
+    """Sparsification curves of the confidence of a method, over the matched pixels with truth.
 
     Attributes:
-        bad_1: curve of the percentage wrong by more than 1 px.
-        avg_px: curve of the mean absolute error, px.
+        bad_1: percentage wrong by more than 1 px.
+        avg_px: mean absolute error, pixels.
     """
 
     bad_1: SparsificationCurve
@@ -45,18 +45,19 @@ class Confidence:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What one method did on one scene.
+    """Result of one method on one scene.
 
     Attributes:
         scene, matcher: names.
-        config: parameters in use, the search range included.
-        result: disparities of the method.
-        errors: over all pixels with truth.
-        nonocc: over those that both cameras see.
-        foreground, background: over the two parts of KITTI's object map; None without one.
-        confidence: None where the method has none, or matched nothing.
-        occlusion: where it is known from which pixels both cameras see: "mask" of the dataset, or "truth".
+        config: parameters in use, with the search range.
+        result: result of the method.
+        errors: errors over all pixels with truth.
+        nonocc: errors over the pixels with truth that both cameras see.
+        foreground, background: errors over the two parts of the KITTI object map; None without one.
+        confidence: None where the method has no confidence, or matched nothing.
+        occlusion: source of the pixels that both cameras see: "mask" of the dataset, or "truth".
         ms: median milliseconds of ``runs`` calls after a first one.
+        runs: number of timed calls.
     """
 
     scene: str
@@ -74,20 +75,20 @@ class Evaluation:
 
     @property
     def ms_per_megapixel(self) -> float:
-        """Milliseconds for a million pixels of the left image."""
+        """Milliseconds per million pixels of the left image."""
         return self.ms / (self.result.disparity_px.size / 1e6)
 
     @property
     def ms_per_million_disparities(self) -> float:
-        """Milliseconds for a million disparities searched, that is pixels times ``disparity_range``."""
+        """Milliseconds per million searched disparities, which are pixels times ``disparity_range``."""
         return self.ms_per_megapixel / self.config.num_disparities
 
     def figures(self) -> dict[str, Any]:
-        """One flat row: names and numbers, a figure over no pixels is None. Percent, px and ms, density 0..1."""
+        """One flat row of names and numbers: percent, pixels, milliseconds, density 0..1; None for no pixels."""
         errors = _figures(self.errors)
         first = ("density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg")
         row: dict[str, Any] = {"scene": self.scene, "matcher": self.matcher} | {name: errors[name] for name in first}
-        row |= {"ms": self.ms} | errors  # the names that are there already keep their places
+        row |= {"ms": self.ms} | errors  # existing names keep their place
         row |= {f"nonocc_{name}": value for name, value in _figures(self.nonocc).items()}
         for part, measured in (("bg", self.background), ("fg", self.foreground)):
             row |= {f"d1_{part}": getattr(measured, "d1", None), f"d1_{part}_all": getattr(measured, "d1_all", None)}
@@ -116,24 +117,27 @@ class Evaluation:
 
 
 def evaluate(name: str, scene: Scene, matcher: str, config: MatchingConfig, given: Collection[str] = ()) -> Evaluation:
-    """Run a method on a scene and compare it with the truth.
+    """Run a matcher on a scene and compare the result with the truth.
 
     Args:
-        name: of the scene.
+        name: name of the scene.
         scene: the pair and its truth.
-        matcher: name of the method.
-        config: its parameters.
-        given: names of the parameters that the user set; see :func:`search_range`.
+        matcher: name of the matcher.
+        config: parameters of the matcher.
+        given: parameters that the user set; see :func:`search_range`.
 
     Raises:
-        ConfigError: the method refuses the parameters.
-        ImageError: the method refuses the images, or returns what no method may.
+        ConfigError: the matcher refuses the parameters.
+        ImageError: the matcher refuses the images, or returns another size or an invalid confidence.
     """
     method = create_matcher(matcher, search_range(config, scene.truth_px, given))
     result, ms, runs = _timed(method, scene.left, scene.right)
     if result.disparity_px.shape != scene.truth_px.shape:
         raise ImageError(
-            f"{matcher} gives {result.disparity_px.shape}, the image is {scene.truth_px.shape}: mend the matcher"
+            f"{matcher} returns {result.disparity_px.shape}, the image is {scene.truth_px.shape}",
+            value=result.disparity_px.shape,
+            limit=scene.truth_px.shape,
+            remedy="correct the matcher",
         )
     objects = scene.foreground
     return Evaluation(
@@ -153,10 +157,10 @@ def evaluate(name: str, scene: Scene, matcher: str, config: MatchingConfig, give
 
 
 def search_range(config: MatchingConfig, truth_px: F32, given: Collection[str] = ()) -> MatchingConfig:
-    """The search that the truth asks for, the same for every method; the parameters in ``given`` stay as they are.
+    """The config with a search range that covers the truth; the parameters in ``given`` are kept.
 
-    ``disparity_range`` is the smallest multiple of 16, at least 32, by which the search ends above the largest true
-    disparity. ``min_disparity`` is lowered to the smallest true disparity where that is negative.
+    ``disparity_range`` is the smallest multiple of 16, at least 32, with which the search ends above the largest true
+    disparity. ``min_disparity`` is lowered to the smallest true disparity if that is negative.
     """
     known = truth_px[np.isfinite(truth_px)]
     changes: dict[str, int] = {}
@@ -170,7 +174,7 @@ def search_range(config: MatchingConfig, truth_px: F32, given: Collection[str] =
 
 
 def _timed(matcher: Matcher, left: U8, right: U8) -> tuple[MatchResult, float, int]:
-    """Result, median milliseconds and number of the timed calls; a first call warms up."""
+    """Result, median milliseconds and number of the timed calls after a warm-up call."""
     result = matcher.match(left, right)
     seconds: list[float] = []
     while len(seconds) < _RUNS and sum(seconds) < _ENOUGH_S:
@@ -192,13 +196,13 @@ def _confidence(result: MatchResult, truth_px: F32) -> Confidence | None:
 
 
 def _figures(errors: DisparityErrors) -> dict[str, float]:
-    """The figures by their names in the field: A50 is the median."""
+    """The errors by their published names: A50 is the median."""
     names = ((field.name, field.name.replace("median", "a50")) for field in dataclasses.fields(errors))
     return {name.removesuffix("_px"): getattr(errors, field) for field, name in names}
 
 
 def _areas(confidence: Confidence | None) -> dict[str, float | None]:
-    """Areas under the sparsification curves: ours, of a random order, of the best order, and ours over random."""
+    """Areas under the sparsification curves: by confidence, in random and in best order, and confidence over random."""
     areas: dict[str, float | None] = {}
     for name in ("bad_1", "avg_px"):
         curve: SparsificationCurve | None = getattr(confidence, name, None)

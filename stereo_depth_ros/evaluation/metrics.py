@@ -20,17 +20,19 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class DisparityErrors:
-    """Errors over the pixels that have a truth.
+    """Errors over the pixels with truth.
 
     The thresholds and quantiles are those of the Middlebury tables (Scharstein and Szeliski 2002; Scharstein et al.
     2014), D1 is KITTI's (Menze and Geiger 2015): wrong by more than 3 px and by more than 5 % of the truth.
 
     Attributes:
-        density: share of truth pixels that have a disparity, 0..1.
-        bad_0_5, bad_1, bad_2, bad_4: percent of the matched truth pixels that are wrong by more than 0.5, 1, 2, 4 px.
-        bad_0_5_all, bad_1_all, bad_2_all, bad_4_all: percent of all truth pixels that are so or have no disparity.
+        density: share of the pixels with truth that have a disparity, 0..1.
+        bad_0_5, bad_1, bad_2, bad_4: percentage of the matched pixels with truth that are wrong by more than 0.5, 1, 2,
+            4 px.
+        bad_0_5_all, bad_1_all, bad_2_all, bad_4_all: percentage of all pixels with truth that are wrong or have no
+            disparity.
         d1, d1_all: the same two of D1.
-        avg_px, median_px, rms_px: absolute error of the matched truth pixels.
+        avg_px, median_px, rms_px: absolute error of the matched pixels with truth.
         a90_px, a95_px, a99_px: absolute error that 90, 95, 99 percent of them do not exceed (A50 is the median).
 
     A figure over no pixels is NaN.
@@ -60,9 +62,9 @@ class DepthErrors:
     """Errors over the pixels where depth and truth are both known; NaN over no pixels.
 
     Attributes:
-        density: share of truth pixels that have a depth, 0..1.
+        density: share of the pixels with truth that have a depth, 0..1.
         median_m: median absolute error, meters.
-        median_relative: median of absolute error over true depth.
+        median_relative: median of the absolute error divided by the true depth.
     """
 
     density: float
@@ -74,9 +76,9 @@ def disparity_errors(disparity_px: F32, truth_px: F32, mask: Mask | None = None)
     """Compares disparities with the truth.
 
     Args:
-        disparity_px: float32 (H, W), px, NaN where invalid.
-        truth_px: float32 (H, W), px, not finite where unknown.
-        mask: bool (H, W), the pixels to look at; None is all.
+        disparity_px: float32 (H, W), pixels, NaN where invalid.
+        truth_px: float32 (H, W), pixels, not finite where unknown.
+        mask: bool (H, W), the pixels to compare; None compares all.
 
     Raises:
         ImageError: shapes differ.
@@ -119,12 +121,14 @@ def depth_errors(depth_m: F32, truth_m: F32) -> DepthErrors:
 
 
 def _pixels(values: F32, truth: F32, mask: Mask | None) -> tuple[Mask, Mask]:
-    """The pixels with a truth, and those of them that have a value."""
+    """The pixels with truth, and those of them that have a value."""
     shapes = {values.shape, truth.shape} | (set() if mask is None else {mask.shape})
     if len(shapes) > 1:
         raise ImageError(
-            f"result is {values.shape}, truth {truth.shape}"
-            f"{'' if mask is None else f', mask {mask.shape}'}: all must have one shape"
+            f"result is {values.shape}, truth {truth.shape}{'' if mask is None else f', mask {mask.shape}'}",
+            value=values.shape,
+            limit=truth.shape,
+            remedy="all must have one shape",
         )
     known = np.isfinite(truth) if mask is None else np.isfinite(truth) & mask
     return known, known & np.isfinite(values)
@@ -140,5 +144,5 @@ def _share(part: int, whole: int) -> float:
 
 
 def _quantile(values: F64, share: float) -> float:
-    """With linear interpolation between neighbors, so that the half is the median."""
+    """Quantile with linear interpolation, so that 0.5 is the median; NaN for no values."""
     return float(np.quantile(values, share)) if values.size else float("nan")

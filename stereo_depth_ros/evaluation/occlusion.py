@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which pixels of the left image both cameras see, from the true disparities of the left camera alone."""
+"""Occlusion from the true disparities of the left image: the pixels that both cameras see."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _OCCLUDER_STEP_PX = 1.0
 
 
 def visible_pixels(truth_px: F32) -> npt.NDArray[np.bool_]:
-    """Pixels that the right camera sees too.
+    """Pixels of the left image that the right camera sees too.
 
-    The truth is warped forward to the nearest right pixels. A pixel is occluded where another of its row lands on the
-    same right pixel with a disparity that is larger by at least 1 px, and where it leaves the right image. Surfaces
-    whose truth is unknown hide nothing.
+    The truth is warped to the nearest pixels of the right image. A pixel is occluded if another one of its row maps to
+    the same right pixel with a disparity that is larger by at least 1 px, or if it maps outside of the right image.
+    Surfaces of unknown truth occlude nothing.
 
     Args:
-        truth_px: float32 (H, W), x_left - x_right, not finite where unknown.
+        truth_px: float32 (H, W), x_left - x_right in pixels, not finite where unknown.
 
     Returns:
         bool (H, W); false where the truth is unknown.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Refuses scenes on which every method would be wrong: swapped cameras, and truth of another scale."""
+"""Refuses scenes with swapped cameras or with true disparities of a wrong scale."""
 
 from __future__ import annotations
 
@@ -17,21 +17,23 @@ __all__ = ["check_plausible"]
 _WIDTH = 480  # px, of the small images that are matched
 _DISPARITIES = 144  # px of those: nearly a third of the width
 _WINDOW = 15
-_CLOSE_PX = 1.5  # of the small images: what counts as agreeing with the truth
-_ENOUGH = 0.4  # share of matches that agree with a scaled truth, below which nothing is concluded
+_CLOSE_PX = 1.5  # of the small images: largest difference of a match that agrees with the truth
+_ENOUGH = 0.4  # share of matches that agree with the scaled truth, below which the truth is accepted
 _CLEARLY = 2.0  # times as many agree with the scaled truth as with the truth
 
 
 def check_plausible(scene: Scene) -> None:
-    """Matches small copies of the images by blocks and looks whether the truth can be theirs.
+    """Compares the truth with block matching of small copies of the images.
 
     Raises:
-        ImageError: the cameras look swapped, or the truth looks scaled by a constant.
+        ImageError: the cameras look swapped, or the scale of the truth looks wrong.
     """
     try:
         CameraSwapDetector(min(scene.doffs_px, 0.0)).check(scene.left, scene.right)
     except ImageError as error:
-        raise ImageError(f"{str(error).partition(': exchange')[0]}: exchange the left and the right images") from error
+        raise ImageError(
+            error.problem, value=error.value, limit=error.limit, remedy="exchange the left and the right images"
+        ) from error
     found, truth = _matches(scene)
     usable = np.isfinite(found) & np.isfinite(truth) & (np.abs(truth) > 0)
     found, truth = found[usable], truth[usable]
@@ -40,21 +42,24 @@ def check_plausible(scene: Scene) -> None:
     scale = float(np.median(truth / np.maximum(found, np.float32(1))))
     if scale == 0:
         return
-    as_given, scaled = _agreement(found, truth), _agreement(found, truth / np.float32(scale))
+    as_given, scaled = _share_close(found, truth), _share_close(found, truth / np.float32(scale))
     if scaled > _ENOUGH and scaled > _CLEARLY * as_given:
         raise ImageError(
-            f"the truth's scale looks wrong: it is about {scale:.3g} times the disparities of the images; "
-            f"{100 * as_given:.0f} % of the matches agree with it as given, {100 * scaled:.0f} % with it divided by "
-            f"{scale:.3g}: check how many gray levels of the truth make a pixel, and at which size it was made"
+            f"the scale of the truth looks wrong, it is about {scale:.3g} times the disparities of the images: "
+            f"{100 * as_given:.0f} % of the matches agree with the truth as given, {100 * scaled:.0f} % with the truth "
+            f"divided by {scale:.3g}",
+            value=scale,
+            limit=1.0,
+            remedy="check the gray levels per pixel of disparity and the image size of the truth",
         )
 
 
-def _agreement(found: F32, truth: F32) -> float:
+def _share_close(found: F32, truth: F32) -> float:
     return float(np.mean(np.abs(found - truth) <= _CLOSE_PX))
 
 
 def _matches(scene: Scene) -> tuple[F32, F32]:
-    """Disparities that block matching is sure of, NaN elsewhere, and the truth: small copies, px of those."""
+    """Reliable disparities of block matching, NaN elsewhere, and the truth, both of and in pixels of small copies."""
     scale = min(1.0, _WIDTH / scene.left.shape[1])
     left, right = (
         cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for image in (scene.left, scene.right)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What methods are evaluated on: rectified pairs with their truth, found in folders of datasets."""
+"""Scenes for evaluation: rectified pairs with true disparities, found in folders of datasets."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ _KITTI_LAYOUTS = (
 
 @dataclass(frozen=True)
 class Scene:
-    """One rectified pair and its truth.
+    """One rectified pair with its true disparities.
 
     Attributes:
         left, right: uint8 (H, W), gray.
-        truth_px: float32 (H, W), x_left - x_right, NaN where unknown.
-        visible: bool (H, W), true where both cameras see the point; means nothing where the truth is unknown.
-        occlusion: where ``visible`` comes from: "mask" (of the dataset) or "truth" (computed from ``truth_px``).
-        foreground: bool (H, W), true on the objects of KITTI's obj_map; None without one.
-        doffs_px: cx_left - cx_right, the disparity of infinity; 0 where it is not known.
+        truth_px: float32 (H, W), x_left - x_right in pixels, NaN where unknown.
+        visible: bool (H, W), true where both cameras see the point; undefined where the truth is unknown.
+        occlusion: source of ``visible``: "mask" (of the dataset) or "truth" (computed from ``truth_px``).
+        foreground: bool (H, W), true on the objects of the KITTI object map; None without one.
+        doffs_px: cx_left - cx_right in pixels, the disparity at infinity; 0 where it is unknown.
     """
 
     left: U8
@@ -57,12 +57,12 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneSource:
-    """A scene and its name; it is read when it is needed, ``load`` raises StereoDepthError where it cannot be.
+    """A scene that is read on demand; ``load`` raises StereoDepthError where it cannot be read.
 
     Attributes:
-        name: of the scene.
-        load: reads it.
-        files: what ``load`` reads, where that are files of its own.
+        name: name of the scene.
+        load: reads the scene.
+        files: the files that ``load`` reads, if they are those of this scene only.
     """
 
     name: str
@@ -71,7 +71,7 @@ class SceneSource:
 
 
 class SceneSet(Protocol):
-    """Scenes of one place; the length is an upper bound of their number."""
+    """Scenes of one folder or bag; the length is an upper bound of their number."""
 
     def __len__(self) -> int: ...
 
@@ -86,31 +86,33 @@ def make_scene(
     foreground: Mask | None = None,
     doffs_px: float = 0.0,
 ) -> Scene:
-    """A scene whose parts fit together; without ``visible`` it is computed from the truth.
+    """A scene of parts of one size; without ``visible`` it is computed from the truth.
+
+    The arguments are those of :class:`Scene`.
 
     Raises:
-        ImageError: sizes that differ, or no pixel with a truth.
+        ImageError: sizes that differ, or no pixel with truth.
     """
     parts: dict[str, npt.NDArray[Any] | None] = {}
     parts |= {"left": left, "right": right, "truth": truth_px, "occlusion mask": visible, "object map": foreground}
     sizes = {part: f"{pixels.shape[1]}x{pixels.shape[0]}" for part, pixels in parts.items() if pixels is not None}
     if len(set(sizes.values())) > 1:
-        told = ", ".join(f"{part} {size}" for part, size in sizes.items())
-        raise ImageError(f"sizes differ: {told}: take images and truth of one resolution")
+        listed = ", ".join(f"{part} {size}" for part, size in sizes.items())
+        raise ImageError(f"sizes differ: {listed}", value=sizes, remedy="use images and truth of one resolution")
     if not np.isfinite(truth_px).any():
-        raise ImageError("no pixel has a true disparity: take the file with the truth again")
+        raise ImageError("no pixel has a true disparity", value=0, remedy="copy the file with the truth again")
     occlusion = "truth" if visible is None else "mask"
     visible = visible_pixels(truth_px) if visible is None else visible
     return Scene(left, right, truth_px, visible, occlusion, foreground, doffs_px)
 
 
 def find_scenes(folder: Path) -> list[SceneSource]:
-    """The scenes with truth of a dataset's folder, or of the folders in it, one or two levels down.
+    """The scenes with truth in a folder of a dataset, or in its folders one or two levels down.
 
-    Known are Middlebury scenes of 2001 to 2014, ETH3D two-view scenes and the training pairs of KITTI stereo.
+    These are Middlebury scenes of 2001 to 2014, ETH3D two-view scenes and training pairs of KITTI stereo.
 
     Raises:
-        BagError: there are none.
+        BagError: no scenes with truth.
     """
     if found := _scenes_of(folder):
         return found
@@ -118,14 +120,17 @@ def find_scenes(folder: Path) -> list[SceneSource]:
         found += [scene for path in sorted(folder.glob(pattern)) if path.is_dir() for scene in _scenes_of(path)]
     if not found:
         raise BagError(
-            f"{folder} has no scene with truth, nor have the folders one and two levels down: name a Middlebury, ETH3D "
-            "or KITTI stereo training folder that holds its disparities, or a bag with /truth/disparity"
+            "has no scene with truth, neither have its folders one and two levels down",
+            subject=str(folder),
+            value=0,
+            remedy="name a Middlebury, ETH3D or KITTI stereo training folder with its disparities, or a bag with "
+            "/truth/disparity",
         )
     return found
 
 
 def _scenes_of(folder: Path) -> list[SceneSource]:
-    """The scenes that a folder itself is."""
+    """The scenes of this folder alone."""
     for left, right, truth, visible in _KITTI_LAYOUTS:
         if (folder / truth).is_dir() and (folder / left).is_dir():
             folders = (folder / left, folder / right, folder / truth, folder / visible)

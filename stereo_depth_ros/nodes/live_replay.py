@@ -14,7 +14,7 @@ from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.nodes.readiness import wait_until_ready
 from stereo_depth_ros.nodes.replay_node import check_recording, replay
 from stereo_depth_ros.nodes.transport import prepare_process
-from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.graph_processes import GraphProcesses
 from stereo_depth_ros.replay.options import ReplayOptions
 
@@ -32,7 +32,7 @@ def replay_through_graph(
     progress: Callable[[int, int], None],
     params_file: Path | None = None,
     health: Literal["", "watch", "correct"] = "",
-) -> ReplayResult:
+) -> RunReport:
     """Start the nodes, play, stop the nodes.
 
     Args:

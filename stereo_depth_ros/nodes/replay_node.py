@@ -27,7 +27,7 @@ from stereo_depth_ros.nodes.replay.player import Player
 from stereo_depth_ros.nodes.replay.recorder import Recorder
 from stereo_depth_ros.nodes.transport import prepare_process
 from stereo_depth_ros.offline.provenance import provenance
-from stereo_depth_ros.offline.report import ReplayResult
+from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["check_recording", "main", "play", "replay"]
@@ -50,7 +50,7 @@ def replay(
     progress: Callable[[int, int], None] = _nothing,
     check: Callable[[], None] = _nothing,
     config: PipelineConfig | None = None,
-) -> ReplayResult:
+) -> RunReport:
     """Play a bag through the nodes that run in this ROS domain; rclpy is initialized for it and shut down after it.
 
     Args:
@@ -94,7 +94,7 @@ def play(
     config: PipelineConfig,
     progress: Callable[[int, int], None] = _nothing,
     check: Callable[[], None] = _nothing,
-) -> ReplayResult:
+) -> RunReport:
     """As :func:`replay`, with an existing node."""
     check_recording(options)
     with BagPairs(options.selection, config.pairing) as pairs:
@@ -109,7 +109,7 @@ def play(
             finally:
                 ports.close()
             _check_played(options, player, ports.errors_reported())
-        result = ReplayResult(
+        result = RunReport(
             bag=options.selection.path,
             output=options.output_path,
             pairs=player.sent,
@@ -173,7 +173,7 @@ def _declared(node: Node, config: type[Any]) -> Any:
     return config(**values)
 
 
-def _summary(result: ReplayResult) -> str:
+def _summary(result: RunReport) -> str:
     outputs = ", ".join(f"{topic} {stats.received}" for topic, stats in result.outputs.items())
     return (
         f"{result.pairs} pairs of {result.bag} sent, {result.frames_per_second:.1f} pairs/s; received {outputs}; "

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bag to bag without a graph."""
+"""Offline processing: from bag to bag without a ROS graph."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of a bag without a graph: the same pairs, the same pipeline, the same message bytes as live."""
+"""Processes a bag without a ROS graph, with the pairs, pipeline and message bytes of the live nodes."""
 
 from __future__ import annotations
 
@@ -13,22 +13,19 @@ from typing import Any
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
 from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import BagError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.messages.cdr import stamp_text, without_stamp
-from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.offline.provenance import provenance
-from stereo_depth_ros.offline.report import ReplayResult, percentile
+from stereo_depth_ros.offline.report import RunReport, percentile
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
 
 __all__ = ["process_bag"]
-
-_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 
 
 def process_bag(
@@ -38,21 +35,21 @@ def process_bag(
     progress: Callable[[int, int], None] = lambda done, total: None,
     *,
     overwrite: bool = False,
-) -> ReplayResult:
+) -> RunReport:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
-    A pair that cannot be processed is left out; the first of its kind is told in the warnings.
+    A pair that cannot be processed is skipped; the first one of each kind of error is reported in the warnings.
 
     Args:
-        selection: which bag, topics and part of it.
+        selection: bag, topics and part of it.
         output: the bag to write.
         config: parameters of all stages.
-        progress: called with pairs done and pairs to do (at most).
-        overwrite: replace the output where it exists.
+        progress: called with the pairs done and an upper bound of all pairs.
+        overwrite: replace an existing output.
 
     Raises:
-        BagError, TopicError: nothing to read, or not one pair could be processed.
-        OutputError: the output exists and ``overwrite`` is false, or it is read, or it cannot be written.
+        BagError, TopicError: no readable stereo bag, or no pair that can be processed.
+        OutputError: an existing output without ``overwrite``, an output that is read, or it cannot be written.
         ConfigError: parameters that contradict each other.
     """
     check_bag_output(output, bag_files(selection.path), overwrite=overwrite)
@@ -61,31 +58,37 @@ def process_bag(
     engine = _Engine(config)
     with BagPairs(selection, config.pairing) as pairs:
         with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
-            start, sent, left_out = time.perf_counter(), 0, 0
+            start, sent, skipped = time.perf_counter(), 0, 0
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
-                    timings_ms = engine.process(pair, pairs.topics.compressed, writer)
+                    timings_ms = engine.process(pair, pairs.topics.image_type, writer)
                 except OutputError:
                     raise
                 except StereoDepthError as error:
-                    left_out += 1
-                    refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} left out: {error}")
+                    skipped += 1
+                    refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} skipped: {error}")
                 else:
                     for stage, ms in timings_ms.items():
                         stages_ms[stage].append(ms)
                 progress(sent, pairs.count)
             wall_s = time.perf_counter() - start
             if engine.rig is None or not writer.message_count:
-                raise BagError(f"{selection.path}: no pair could be processed: {'; '.join(refused.values()) or 'none'}")
+                reasons = "; ".join(refused.values()) or "it holds no pairs of the given pairing"
+                raise BagError(
+                    f"no pair could be processed: {reasons}",
+                    subject=str(selection.path),
+                    value=0,
+                    remedy="examine the bag with the doctor",
+                )
             writer.write_metadata("stereo_depth_ros", provenance(config, engine.rig, bag=selection.path))
-        return ReplayResult(
+        return RunReport(
             bag=selection.path,
             output=output,
             pairs=sent,
             unpaired_left=pairs.unpaired_left,
             unpaired_right=pairs.unpaired_right,
             outputs={},
-            left_out=left_out,
+            skipped=skipped,
             wall_s=wall_s,
             stages_ms={stage: (percentile(times, 50), percentile(times, 95)) for stage, times in stages_ms.items()},
             score=score_disparity(output, selection.path),
@@ -94,7 +97,7 @@ def process_bag(
 
 
 class _Engine:
-    """Serialized pair to serialized outputs; the pipeline is made again when a camera info changes."""
+    """Computes serialized pairs; the pipeline is rebuilt when a camera info changes."""
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
@@ -102,16 +105,14 @@ class _Engine:
         self._messages = ResultMessages(self._types)
         self._infos: tuple[bytes, bytes] | None = None
         self._pipeline: StereoPipeline | None = None
-        self.rig: StereoRig | None = None  # of the newest pair
+        self.rig: StereoRig | None = None  # of the last pair
 
-    def process(self, pair: SerializedPair, compressed: bool, writer: BagWriter) -> dict[str, float]:
-        """Compute a pair and write its messages; milliseconds a stage."""
-        image_type = "sensor_msgs/msg/CompressedImage" if compressed else "sensor_msgs/msg/Image"
-        left = decode(self._types.deserialize(pair.left, image_type), "left image")
-        right = decode(self._types.deserialize(pair.right, image_type), "right image")
-        result = self._pipeline_of(pair).process(StereoPair(left, right))
-        writer.write_raw("/left/camera_info", _INFO_TYPE, pair.left_info, pair.stamp_ns)
-        writer.write_raw("/right/camera_info", _INFO_TYPE, pair.right_info, pair.right_stamp_ns)
+    def process(self, pair: SerializedPair, image_type: str, writer: BagWriter) -> dict[str, float]:
+        """Compute a pair and write its messages; returns milliseconds per stage."""
+        images = pair.images(self._types, image_type)
+        result = self._pipeline_of(pair).process(images)
+        writer.write_raw("/left/camera_info", INFO_TYPE, pair.left_info, pair.stamp_ns)
+        writer.write_raw("/right/camera_info", INFO_TYPE, pair.right_info, pair.right_stamp_ns)
         for topic, message in self._outputs(result):
             writer.write(topic, message, result.stamp_ns)
         return result.timings_ms
@@ -126,8 +127,7 @@ class _Engine:
     def _pipeline_of(self, pair: SerializedPair) -> StereoPipeline:
         infos = (without_stamp(pair.left_info), without_stamp(pair.right_info))
         if self._pipeline is None or infos != self._infos:
-            messages = [self._types.deserialize(info, _INFO_TYPE) for info in (pair.left_info, pair.right_info)]
-            self.rig = StereoRig.from_infos(*messages)
+            self.rig = pair.rig(self._types)
             self._pipeline = StereoPipeline(self._config, self.rig)
             self._infos = infos
         return self._pipeline

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a result was made with, as names and values to write beside it."""
+"""Provenance of a result: version, parameters and geometry of the rig as names and values."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay gave: counts, latencies, percentiles and the same as JSON."""
+"""Report of an offline or live run of a bag: counts, latencies, stage timings, and their JSON."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ import numpy as np
 
 from stereo_depth_ros.evaluation.bag_score import BagScore
 
-__all__ = ["OutputStats", "ReplayResult", "percentile", "stage_timings"]
+__all__ = ["OutputStats", "RunReport", "percentile", "stage_timings"]
 
 
 @dataclass(frozen=True)
 class OutputStats:
-    """One output topic.
+    """Counts and latencies of one output topic.
 
     Attributes:
-        received: messages that belong to a pair that was sent, each pair counted once.
-        lost: pairs whose message did not come.
-        latencies_ms: from the publishing of the pair's last message to the receipt of this one, milliseconds.
+        received: messages of pairs that were sent, each pair counted once.
+        lost: pairs whose message was not received.
+        latencies_ms: milliseconds from publishing the last message of a pair to receiving this one.
     """
 
     received: int
@@ -33,30 +33,30 @@ class OutputStats:
 
     @property
     def p50_ms(self) -> float:
-        """Median latency, milliseconds; NaN where nothing came."""
+        """Median latency, milliseconds; NaN where nothing was received."""
         return percentile(self.latencies_ms, 50)
 
     @property
     def p95_ms(self) -> float:
-        """95th percentile of the latency, milliseconds; NaN where nothing came."""
+        """95th percentile of the latency, milliseconds; NaN where nothing was received."""
         return percentile(self.latencies_ms, 95)
 
 
 @dataclass(frozen=True)
-class ReplayResult:
-    """What became of a bag that went through the path, live or offline.
+class RunReport:
+    """Result of one run of a bag through the pipeline, live or offline.
 
     Attributes:
-        bag, output: the bag that was read and the one that was written (None: none).
+        bag, output: the bag that was read and the one that was written; None where none was written.
         pairs: pairs sent.
         unpaired_left, unpaired_right: images of the bag without a partner in the other camera.
-        outputs: per topic; empty offline.
-        left_out: pairs that could not be processed; offline only, live they are lost outputs.
+        outputs: counts per topic; empty offline.
+        skipped: pairs that could not be processed, offline; live they are lost outputs.
         wall_s: seconds from the first pair sent to the last output received.
-        stages_ms: stage name to (p50, p95) in milliseconds, as the nodes or the pipeline measured them.
-        score: valid fraction and error of the recorded disparities; None where nothing was recorded.
-        realtime: pairs were sent by the clock, so that losses are expected.
-        warnings: what a user must know: a truncated bag, pairs that were refused.
+        stages_ms: stage name to (p50, p95) in milliseconds, measured by the nodes or the pipeline.
+        score: valid fraction and errors of the recorded disparities; None where nothing was recorded.
+        realtime: whether pairs were sent in real time, so that losses are expected.
+        warnings: a sentence each, such as for a cut bag or for skipped pairs.
     """
 
     bag: Path
@@ -66,7 +66,7 @@ class ReplayResult:
     unpaired_right: int
     outputs: Mapping[str, OutputStats]
     wall_s: float
-    left_out: int = 0
+    skipped: int = 0
     stages_ms: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     score: BagScore | None = None
     realtime: bool = False
@@ -74,16 +74,16 @@ class ReplayResult:
 
     @property
     def lost(self) -> int:
-        """Messages that were expected and did not come, over all outputs."""
+        """Expected messages that were not received, over all outputs."""
         return sum(stats.lost for stats in self.outputs.values())
 
     @property
     def frames_per_second(self) -> float:
-        """Pairs a second, from the first pair sent to the last output received; NaN for none."""
+        """Pairs per second from the first pair sent to the last output received; NaN for no time."""
         return self.pairs / self.wall_s if self.wall_s > 0 else math.nan
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values for JSON: latencies as percentiles, NaN as None, paths as text."""
+        """The report in JSON types: latencies as percentiles, NaN as None, paths as text."""
         outputs = {
             topic: {"received": s.received, "lost": s.lost, "p50_ms": s.p50_ms, "p95_ms": s.p95_ms}
             for topic, s in self.outputs.items()
@@ -95,12 +95,12 @@ class ReplayResult:
 
 
 def percentile(values: Sequence[float], percent: float) -> float:
-    """Percentile with linear interpolation; NaN of nothing."""
+    """Percentile with linear interpolation; NaN for no values."""
     return float(np.percentile(np.asarray(values, np.float64), percent)) if len(values) else math.nan
 
 
 def stage_timings(values: Mapping[str, str]) -> dict[str, tuple[float, float]]:
-    """Stage to (p50, p95) in milliseconds, from the "<stage> p50 ms" and "<stage> p95 ms" values of a diagnostic."""
+    """Stage to (p50, p95) in milliseconds, of the values "<stage> p50 ms" and "<stage> p95 ms" of a diagnostic."""
     stages = [key.removesuffix(" p50 ms") for key in values if key.endswith(" p50 ms")]
     return {
         stage: (float(values[f"{stage} p50 ms"]), float(values[f"{stage} p95 ms"]))

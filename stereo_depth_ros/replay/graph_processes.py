@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Starts the nodes of the graph as processes, watches them, and stops them."""
+"""Starts the nodes of the graph as processes, monitors them, and stops them."""
 
 from __future__ import annotations
 
@@ -24,21 +24,24 @@ SHAPES: Mapping[str, tuple[str, ...]] = {
     "separate": ("rectify_node", "disparity_node", "point_cloud_node", "depth_node"),
 }
 _HEALTH_NODE = "calibration_monitor"
-_READ_RAW_IMAGES = ("stereo_depth_node", "rectify_node")  # the others get what these publish, which is never compressed
+_READ_RAW_IMAGES = (
+    "stereo_depth_node",
+    "rectify_node",
+)  # the other nodes subscribe to their outputs, which are never compressed
 _STOP_TIMEOUT_S = 5.0  # for each of SIGINT, SIGTERM and SIGKILL
 _TAIL_LINES = 12
 
 
 class GraphProcesses:
-    """The nodes of one shape of the graph, running while the ``with`` block lasts.
+    """The nodes of one shape of the graph, which run inside the ``with`` block.
 
     Args:
         shape: "fused" or "separate".
-        parameters: ROS parameters for every node of the shape; ``image_transport`` goes to those that read raw images.
-        params_file: a ROS parameter file for every node; ``parameters`` wins over it.
-        health: "watch" runs health_node beside them; "correct" has it publish the camera infos to rectify with, too.
-        env: environment variables on top of this process's own.
-        log_dir: folder for one log file a node; made when missing.
+        parameters: ROS parameters of every node of the shape; ``image_transport`` of those that read raw images.
+        log_dir: folder of the log files, one per node; created when missing.
+        params_file: ROS parameter file of every node; ``parameters`` override it.
+        health: "watch" also runs the calibration monitor; "correct" rectifies with the camera infos that it corrects.
+        env: environment variables in addition to those of this process.
 
     Raises:
         GraphError: unknown shape.
@@ -54,7 +57,13 @@ class GraphProcesses:
         env: Mapping[str, str] | None = None,
     ) -> None:
         if shape not in SHAPES:
-            raise GraphError(f"shape {shape!r} is none of {', '.join(SHAPES)}: take one of them")
+            raise GraphError(
+                f"shape {shape!r} is not one of {', '.join(SHAPES)}",
+                value=shape,
+                limit=tuple(SHAPES),
+                remedy="choose one of them",
+                settings=("shape",),
+            )
         self.shape = shape
         self._nodes = (*SHAPES[shape], _HEALTH_NODE) if health else SHAPES[shape]
         self._correct = health == "correct"
@@ -80,30 +89,35 @@ class GraphProcesses:
         self.stop()
 
     def check(self) -> None:
-        """Raise where a node has ended.
+        """Check that all nodes are running.
 
         Raises:
-            GraphError: names the node, its exit code and the end of its log.
+            GraphError: a node has exited; with its exit code and the end of its log.
         """
         for node, process in self._processes.items():
             code = process.poll()
             if code is not None:
-                raise GraphError(f"{node} ended with exit code {code}; the end of its log:\n{self._tail(node)}")
+                raise GraphError(
+                    f"exited with code {code}",
+                    subject=node,
+                    value=code,
+                    remedy=f"see the end of its log:\n{self._tail(node)}",
+                )
 
     @property
     def numbers(self) -> dict[str, int]:
-        """Number of the process by name of the node."""
+        """Process ID by node name."""
         return {node: process.pid for node, process in self._processes.items()}
 
     def log_lengths(self) -> tuple[int, ...]:
-        """Bytes that each node has logged so far: they grow while the nodes start."""
+        """Size of each log file in bytes; it grows while the nodes start."""
         return tuple(self.log(node).stat().st_size for node in self._processes)
 
     def stop(self) -> dict[str, int]:
-        """End all nodes: SIGINT, then SIGTERM, then SIGKILL, five seconds each.
+        """Stop all nodes with SIGINT, then SIGTERM, then SIGKILL, waiting five seconds after each.
 
         Returns:
-            Exit code per node; 0 is a clean shutdown, -N an end by signal N.
+            Exit code by node name; 0 is a clean shutdown, -N a termination by signal N.
         """
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             running = [process for process in self._processes.values() if process.poll() is None]
@@ -124,7 +138,7 @@ class GraphProcesses:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=self._env,
-                start_new_session=True,  # Ctrl-C reaches the replay first, which then stops the nodes in order
+                start_new_session=True,  # Ctrl-C reaches only the replay, which then stops the nodes
             )
 
     def _command(self, node: str) -> list[str]:
@@ -145,16 +159,18 @@ class GraphProcesses:
 
 
 def require_ros() -> None:
-    """Raise where rclpy or the message packages are not installed.
+    """Check that rclpy and the message packages are installed.
 
     Raises:
-        GraphError: names what is missing and how to get it.
+        GraphError: a package is missing.
     """
     missing = [name for name in ("rclpy", "sensor_msgs", "stereo_msgs") if importlib.util.find_spec(name) is None]
     if missing:
         raise GraphError(
-            f"{', '.join(missing)} not found for {sys.executable}: source /opt/ros/jazzy/setup.bash where ROS 2 is "
-            "installed, or pip install 'stereo_depth_ros[ros]'; `stereo-depth process` needs no ROS"
+            f"{', '.join(missing)} not found for {sys.executable}",
+            value=missing,
+            remedy="source /opt/ros/jazzy/setup.bash where ROS 2 is installed, or pip install 'stereo_depth_ros[ros]'; "
+            "processing offline needs no ROS",
         )
 
 
@@ -168,7 +184,7 @@ def _wait(processes: list[subprocess.Popen[bytes]], timeout_s: float) -> None:
 
 
 def _ros_text(value: bool | int | float | str) -> str:
-    """A parameter value as the command line of ROS takes it: YAML, with a dot in every double."""
+    """A parameter value in the YAML of the ROS command line: every double has a dot."""
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value!r}" if isinstance(value, float) else str(value)

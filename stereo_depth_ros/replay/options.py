@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a bag is played: the parameters of the replay node and the options of `stereo-depth replay`."""
+"""Options of a replay, which are the parameters of the replay node."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def _option(default: bool | int | float | str, doc: str, **info: Any) -> Any:
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """What is played, and how.
+    """The bag to play, the part of it, and how it is played.
 
     Raises:
-        ConfigError: a value of another type or out of range, or no bag.
+        ConfigError: a wrong type, a value out of range, or no bag.
     """
 
     bag: str = _option("", "Bag to play: .mcap, .db3, a rosbag2 folder.")
@@ -32,24 +32,28 @@ class ReplayOptions:
     overwrite: bool = _option(False, "Replace the output where it exists.")
     rate: float = _option(
         0.0,
-        "Speed of sending, times the bag's own; 0 is as fast as the graph is ready (with realtime: 1).",
+        "Rate relative to that of the bag; 0 is the maximum rate of the graph (with realtime: 1).",
         low=0.0,
         high=1000.0,
     )
-    realtime: bool = _option(False, "Send by the clock and do not wait for the graph.")
-    clock: bool = _option(False, "Publish the time of the pairs on /clock.")
-    loop: int = _option(1, "How often the bag is played; later rounds are stamped later.", low=1, high=1_000_000)
-    start_seconds: float = _option(0.0, "Where to begin, after the bag's first message.", low=0.0, high=1e9, unit="s")
-    duration_seconds: float = _option(0.0, "How much to play; 0 is all.", low=0.0, high=1e9, unit="s")
+    realtime: bool = _option(False, "Publish in real time without waiting for the graph.")
+    clock: bool = _option(False, "Publish the stamps of the pairs on /clock.")
+    loop: int = _option(1, "Number of times that the bag is played; stamps keep increasing.", low=1, high=1_000_000)
+    start_seconds: float = _option(
+        0.0, "Where to begin, after the first message of the bag.", low=0.0, high=1e9, unit="s"
+    )
+    duration_seconds: float = _option(0.0, "How much to play; 0 plays to the end.", low=0.0, high=1e9, unit="s")
     left_topic: str = _option("", "Left image topic in the bag; empty finds it.")
     right_topic: str = _option("", "Right image topic in the bag; empty finds it.")
-    in_flight: int = _option(1, "Pairs that may be on their way through the graph.", low=1, high=100)
+    in_flight: int = _option(1, "Maximum number of pairs in the graph at one time.", low=1, high=100)
 
     def __post_init__(self) -> None:
         for info in parameter_infos(self):
             object.__setattr__(self, info.field, info.check(getattr(self, info.field)))
         if not self.bag:
-            raise ConfigError("parameter bag is empty: set it to the path of a bag, for example bag:=drive.mcap")
+            raise ConfigError(
+                "parameter bag is empty", value="", remedy="set it to the path of a bag", settings=("bag",)
+            )
 
     @property
     def selection(self) -> BagSelection:
@@ -64,10 +68,10 @@ class ReplayOptions:
 
     @property
     def output_path(self) -> Path | None:
-        """Where the outputs are recorded; None for nowhere."""
+        """The bag to record; None for no recording."""
         return Path(self.output) if self.output else None
 
     @property
     def speed(self) -> float:
-        """Times the bag's own speed at which pairs become due; 0 is at once."""
+        """Rate relative to that of the bag at which pairs become due; 0 makes them due immediately."""
         return self.rate or (1.0 if self.realtime else 0.0)

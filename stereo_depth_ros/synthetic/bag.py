@@ -18,24 +18,24 @@ from stereo_depth_ros.synthetic.sequence import SyntheticFrame, SyntheticSequenc
 
 __all__ = ["TRUTH_STEP_PX", "write_synthetic_bag"]
 
-TRUTH_STEP_PX = 1 / 256  # float32 as it comes compresses eight times worse
+TRUTH_STEP_PX = 1 / 256  # unrounded float32 compresses eight times worse
 
 
 def write_synthetic_bag(path: Path, sequence: SyntheticSequence, *, overwrite: bool = False) -> None:
-    """Write every frame of ``sequence``; the same sequence makes the same file.
+    """Write all frames of ``sequence``; equal sequences give equal files.
 
-    Topics: ``/left/image_raw``, ``/left/camera_info`` and the same of ``/right``, and ``/truth/disparity``, a
-    stereo_msgs/DisparityImage for the rectified left image, rounded to 1/256 px. It holds the surfaces that the right
-    camera does not see as well.
+    Topics: ``image_raw`` and ``camera_info`` in ``/left`` and ``/right``, and ``/truth/disparity``, a
+    stereo_msgs/DisparityImage of the rectified left image, rounded to 1/256 px, with the surfaces that are occluded in
+    the right image.
 
     Args:
-        path: file to make, must end in ``.mcap``.
-        sequence: what to write.
+        path: file to create, must end in ``.mcap``.
+        sequence: the sequence to write.
         overwrite: replace an existing file.
 
     Raises:
         BagError: wrong suffix.
-        OutputError: the file exists and ``overwrite`` is false, or it cannot be written.
+        OutputError: an existing file without ``overwrite``, or it cannot be written.
     """
     types = RosbagsTypes()
     with BagWriter(path, overwrite=overwrite) as bag:
@@ -55,7 +55,7 @@ def _write_frame(bag: BagWriter, types: RosbagsTypes, frame: SyntheticFrame, rig
         types,
         disparity_px,
         rig,
-        min_disparity=rig.doffs_px,  # infinitely far
+        min_disparity=rig.doffs_px,  # at infinity
         max_disparity=float(np.fmax.reduce(disparity_px, axis=None, initial=rig.doffs_px)),
         step_px=TRUTH_STEP_PX,
         stamp_ns=stamp_ns,

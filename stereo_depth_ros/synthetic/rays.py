@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ray casting: which surface a pixel sees, at what depth, with what gray level.
+"""Ray casting kernels: visible surface, depth and gray level of each pixel.
 
-The kernels use only +, -, *, /, square root, floor and integer arithmetic, each correctly rounded, without fast-math:
-equal inputs give equal bytes on every machine that follows IEEE 754.
+They use only +, -, *, /, square root, floor and integer arithmetic, all correctly rounded and without fast-math: equal
+inputs give equal bytes on every machine that follows IEEE 754.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["depth_and_shadow", "pixel_rays", "render"]
 SUPERSAMPLING = 2  # rays per pixel and axis
 
 _NEAREST_M = 1e-6
-_SAME_POINT = 1.0 - 1e-9  # a surface hit before this fraction of a line of sight hides the point at its end
+_SAME_POINT = 1.0 - 1e-9  # a surface before this fraction of a line of sight occludes the point at its end
 _BACKGROUND = 20.0
 _FINEST_CELL_M = 0.012
 _OCTAVES = 5
@@ -35,14 +35,14 @@ _FLOATS, _MATRIX = "float64[::1]", "float64[:, ::1]"
 
 @compiled()
 def _lattice(a: int, b: int, c: int, key: int) -> float:
-    """A number in [-1, 1) for a lattice point: multiplicative hashing, the upper bits are well mixed."""
+    """Pseudo-random value in [-1, 1) of a lattice point, from the upper bits of a multiplicative hash."""
     h = (np.uint64(a) * _C1) ^ (np.uint64(b) * _C2) ^ (np.uint64(c) * _C3) ^ (np.uint64(key) * _C5)
     return float(np.int64(((h ^ (h >> _S30)) * _C4) >> _S40) / 8388608.0 - 1.0)
 
 
 @compiled()
 def _value_noise(x: float, y: float, z: float, key: int) -> float:
-    """Smooth noise in [-1, 1], lattice of 1 (value noise, Perlin 1985's interpolation)."""
+    """Value noise in [-1, 1] on a unit lattice, with the cubic interpolation of Perlin 1985."""
     a, b, c = math.floor(x), math.floor(y), math.floor(z)
     u, v, w = x - a, y - b, z - c
     u, v, w = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v), w * w * (3.0 - 2.0 * w)
@@ -56,7 +56,7 @@ def _value_noise(x: float, y: float, z: float, key: int) -> float:
 
 @compiled()
 def _octaves(p: Vector, footprint_m: float, key: int) -> float:
-    """Noise over several scales; scales that a pixel of ``footprint_m`` cannot resolve fade out."""
+    """Sum of noise at several scales; scales below the resolution of a pixel of ``footprint_m`` fade out."""
     total, power, per_m = 0.0, 0.0, 1.0 / _FINEST_CELL_M
     for octave in range(_OCTAVES):
         weight = min(1.0 / (per_m * footprint_m) - 1.5, 1.0)
@@ -69,14 +69,14 @@ def _octaves(p: Vector, footprint_m: float, key: int) -> float:
 
 @compiled()
 def _wave(x: float) -> float:
-    """A smooth wave of period 1 in [-1, 1], made without trigonometry."""
+    """A smooth periodic function with period 1 and values in [-1, 1], without trigonometry."""
     t = abs(2.0 * (x - math.floor(x)) - 1.0)
     return 2.0 * t * t * (3.0 - 2.0 * t) - 1.0
 
 
 @compiled()
 def _hit(row: F64, o: Vector, d: Vector, best: float) -> float:
-    """Parameter t of the first point o + t d on a primitive; ``best`` where there is none or t is not below it."""
+    """Smallest t with o + t d on the primitive ``row``; ``best`` where there is none below it."""
     x, y, z = o[0] - row[1], o[1] - row[2], o[2] - row[3]
     if row[0] == RECTANGLE:
         slope = row[10] * d[0] + row[11] * d[1] + row[12] * d[2]
@@ -108,7 +108,7 @@ def _hit(row: F64, o: Vector, d: Vector, best: float) -> float:
 
 @compiled()
 def _nearest(primitives: F64, o: Vector, d: Vector) -> tuple[float, int]:
-    """(t, index) of the first surface along o + t d; (inf, -1) where there is none."""
+    """(t, index) of the first surface along the ray o + t d; (inf, -1) where there is none."""
     best, index = math.inf, -1
     for i in range(primitives.shape[0]):
         t = _hit(primitives[i], o, d, best)
@@ -118,7 +118,7 @@ def _nearest(primitives: F64, o: Vector, d: Vector) -> tuple[float, int]:
 
 
 @compiled()
-def _turned(rotation: F64, x: float, y: float) -> Vector:
+def _rotated(rotation: F64, x: float, y: float) -> Vector:
     """rotation @ (x, y, 1)."""
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2],
@@ -129,7 +129,7 @@ def _turned(rotation: F64, x: float, y: float) -> Vector:
 
 @compiled()
 def _level(primitives: F64, o: Vector, d: Vector, pixel_rad: float, seed: int) -> float:
-    """Gray level that arrives along a ray whose parameter t is depth along the optical axis."""
+    """Gray level seen along the ray o + t d, where t is the depth along the optical axis."""
     t, index = _nearest(primitives, o, d)
     if index < 0:
         return _BACKGROUND
@@ -159,19 +159,19 @@ def render(
     noise_seed: int,
     image: U8,
 ) -> None:
-    """What a camera sees, rows ``first`` to ``last`` of it.
+    """Renders the rows ``first`` to ``last - 1`` of the raw image of a camera.
 
     Args:
-        first, last: rows to fill.
-        primitives: float64 (N, 17), :meth:`Scene.packed`.
+        first, last: range of rows.
+        primitives: float64 (N, 17), of :meth:`Scene.packed`.
         origin: float64 (3,), the camera center in the world, meters.
         rotation: float64 (3, 3), camera to world.
-        rays: float64 (2H, 2W, 2), :func:`pixel_rays`.
-        pixel_rad: angle of one pixel; textures carry no detail that it cannot resolve.
-        gain: factor on all gray levels.
-        noise: bound of the sensor noise (triangular distribution), gray levels.
-        texture_seed, noise_seed: integers.
-        image: uint8 (H, W), filled.
+        rays: float64 (2H, 2W, 2), of :func:`pixel_rays`.
+        pixel_rad: angle of one pixel, radians; textures have no detail below it.
+        gain: factor of all gray levels.
+        noise: largest value of the sensor noise (triangular distribution), gray levels.
+        texture_seed, noise_seed: seeds of the textures and of the sensor noise.
+        image: uint8 (H, W), output.
     """
     n, o = SUPERSAMPLING, (origin[0], origin[1], origin[2])
     for y in range(first, last):
@@ -179,7 +179,7 @@ def render(
             total = 0.0
             for row in range(n * y, n * y + n):
                 for col in range(n * x, n * x + n):
-                    d = _turned(rotation, rays[row, col, 0], rays[row, col, 1])
+                    d = _rotated(rotation, rays[row, col, 0], rays[row, col, 1])
                     total += _level(primitives, o, d, pixel_rad, texture_seed)
             even = 0.5 * (_lattice(x, y, 0, noise_seed) - _lattice(x, y, 1, noise_seed))
             image[y, x] = min(max(math.floor(gain * total / (n * n) + noise * even + 0.5), 0.0), 255.0)
@@ -197,22 +197,22 @@ def depth_and_shadow(
     depth_m: F64,
     shadow: npt.NDArray[np.bool_],
 ) -> None:
-    """Exact depth of an ideal camera's pixels, and which of their points another camera does not see.
+    """Exact depth of the pixels of a rectified camera, and which of their points are occluded in another camera.
 
     Args:
-        first, last: rows to fill.
-        primitives: float64 (N, 17), :meth:`Scene.packed`.
+        first, last: range of rows, ``last`` excluded.
+        primitives: float64 (N, 17), of :meth:`Scene.packed`.
         origin: float64 (3,), the camera center in the world, meters.
-        rotation: float64 (3, 3), (rectified) camera to world.
-        P: float64 (3, 4), its projection matrix; the rays go through pixel centers.
+        rotation: float64 (3, 3), rectified camera to world.
+        P: float64 (3, 4), projection matrix of the camera; the rays pass through the pixel centers.
         other: float64 (3,), center of the other camera in the world, meters.
-        depth_m: float64 (H, W), filled with depth along the optical axis, meters; NaN where there is no surface.
-        shadow: bool (H, W), filled with True where a surface stands between the point and the other camera.
+        depth_m: float64 (H, W), output: depth along the optical axis, meters; NaN without a surface.
+        shadow: bool (H, W), output: true where a surface is between the point and the other camera.
     """
     o, c = (origin[0], origin[1], origin[2]), (other[0], other[1], other[2])
     for y in range(first, last):
         for x in range(depth_m.shape[1]):
-            d = _turned(rotation, (x - P[0, 2]) / P[0, 0], (y - P[1, 2]) / P[1, 1])
+            d = _rotated(rotation, (x - P[0, 2]) / P[0, 0], (y - P[1, 2]) / P[1, 1])
             t, index = _nearest(primitives, o, d)
             if index < 0:
                 depth_m[y, x], shadow[y, x] = np.nan, False
@@ -224,14 +224,14 @@ def depth_and_shadow(
 
 @compiled(f"void(int64, int64, {_MATRIX}, {_FLOATS}, float64[:, :, ::1])")
 def pixel_rays(first: int, last: int, K: F64, D: F64, rays: F64) -> None:
-    """Directions through every raw pixel of a plumb_bob camera, its lens distortion inverted by fixed-point iteration.
+    """Directions of 2 x 2 rays through every raw pixel of a plumb_bob camera, by fixed-point iteration.
 
     Args:
-        first, last: rows of ``rays`` to fill.
-        K: float64 (3, 3) camera matrix, pixels.
-        D: float64 (5,), k1 k2 p1 p2 k3.
-        rays: float64 (2H, 2W, 2), filled with x / z and y / z of the 2 x 2 rays of each pixel, which lie a quarter of a
-            pixel from its center.
+        first, last: range of rows of ``rays``, ``last`` excluded.
+        K: float64 (3, 3), camera matrix, pixels.
+        D: float64 (5,), distortion coefficients k1 k2 p1 p2 k3.
+        rays: float64 (2H, 2W, 2), output: x / z and y / z of the rays, which are a quarter of a pixel from the pixel
+            center in x and y.
     """
     n = SUPERSAMPLING
     for row in range(first, last):
@@ -239,7 +239,7 @@ def pixel_rays(first: int, last: int, K: F64, D: F64, rays: F64) -> None:
         for col in range(rays.shape[1]):
             xd = ((col + 0.5) / n - 0.5 - K[0, 2]) / K[0, 0]
             x, y = xd, yd
-            for _ in range(50):  # each step gains a factor of 3 in the corners, more inside
+            for _ in range(50):  # each step reduces the error by a factor of 3 in the corners, and by more inside
                 r2 = x * x + y * y
                 radial = 1.0 + r2 * (D[0] + r2 * (D[1] + r2 * D[4]))
                 dx = 2.0 * D[2] * x * y + D[3] * (r2 + 2.0 * x * x)

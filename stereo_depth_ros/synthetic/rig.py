@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The synthetic stereo rig: two different distorted cameras, verged, and their rectification.
+"""The synthetic rig: two verged cameras with different lens distortion, and their rectification.
 
-It is deliberately asymmetric, for equal numbers hide swapped ones: two lenses, the right camera turned towards the left
-one and a little rolled, fx != fy, and rectified principal points that differ.
+It is asymmetric on purpose, since equal values hide swapped ones: different lenses, a right camera that is rotated
+towards the left one and slightly rolled, fx != fy, and different rectified principal points.
 
-All rotations are rounded to 12 decimals, so that the last bit of sine and cosine does not reach what is made of them.
+All rotations are rounded to 12 decimals, so that results do not depend on the last bit of sine and cosine.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["CENTER_LEFT_RIGHT_M", "R_RIGHT_LEFT", "inside_raw_image", "product", "synthetic_rig", "turn"]
+__all__ = ["CENTER_LEFT_RIGHT_M", "R_RIGHT_LEFT", "inside_raw_image", "product", "rotation_into", "synthetic_rig"]
 
-_WIDTH, _HEIGHT = 640, 480  # of the numbers below; other sizes are scaled
+_WIDTH, _HEIGHT = 640, 480  # of the values below, which are scaled to other sizes
 _K_LEFT = ((415.3, 0.0, 321.4), (0.0, 409.8, 236.2), (0.0, 0.0, 1.0))
 _K_RIGHT = ((419.6, 0.0, 316.7), (0.0, 413.9, 243.5), (0.0, 0.0, 1.0))
 _D_LEFT = (-0.21, 0.06, 0.0006, -0.0004, -0.005)
 _D_RIGHT = (-0.19, 0.05, -0.0005, 0.0007, -0.004)
 _F_PX, _FY_PX, _CY_PX = 430.0, 417.1, 238.5
-# A verged pair that keeps both images centered sees negative disparities beyond the point where the axes cross. These
-# two put infinity at +9.5 px, so that the whole room lies in the usual search range of 0 to 63.
+# Principal points that center both images of a verged pair give negative disparities beyond the point where the optical
+# axes cross. These give infinity a disparity of +9.5 px, so that the whole room is in the default range of 0 to 63.
 _CX_LEFT_PX, _CX_RIGHT_PX = 316.25, 306.75
 
 
-def turn(yaw_rad: float, pitch_rad: float, roll_rad: float) -> F64:
-    """Rotation (3, 3) into a camera that is turned about its y (down), then x (right), then z axis."""
+def rotation_into(yaw_rad: float, pitch_rad: float, roll_rad: float) -> F64:
+    """Rotation, float64 (3, 3), into a camera that is rotated about its y (down), then x (right), then z axis."""
     a, b = math.cos(yaw_rad), math.sin(yaw_rad)
     yaw = np.array([[a, 0.0, b], [0.0, 1.0, 0.0], [-b, 0.0, a]])
     a, b = math.cos(pitch_rad), math.sin(pitch_rad)
@@ -44,7 +44,7 @@ def turn(yaw_rad: float, pitch_rad: float, roll_rad: float) -> F64:
 
 
 def product(*matrices: F64) -> F64:
-    """Matrix product, rounded to 12 decimals: the order in which a library sums does not show."""
+    """Matrix product, rounded to 12 decimals, so that it does not depend on the order of summation."""
     result = matrices[0]
     for matrix in matrices[1:]:
         result = result @ matrix
@@ -52,17 +52,17 @@ def product(*matrices: F64) -> F64:
 
 
 # X_right = R_RIGHT_LEFT (X_left - CENTER_LEFT_RIGHT_M)
-R_RIGHT_LEFT = turn(math.radians(2.0), math.radians(0.3), math.radians(0.5))
+R_RIGHT_LEFT = rotation_into(math.radians(2.0), math.radians(0.3), math.radians(0.5))
 CENTER_LEFT_RIGHT_M = np.array([0.12, 0.003, -0.002])
 
 
 def synthetic_rig(width: int, height: int) -> StereoRig:
-    """The rig at an image size; the field of view does not change with it."""
+    """The rig at an image size in pixels; the field of view is the same at all sizes."""
     R_left = _rectifying_rotation()
     R_right = product(R_left, R_RIGHT_LEFT.T)
     baseline_m = round(math.sqrt(float(np.sum(CENTER_LEFT_RIGHT_M**2))), 12)
     scale = np.array([[width / _WIDTH], [height / _HEIGHT], [1.0]])
-    half_pixel = 0.5 * (scale - 1.0)  # the outer edges of the image stay where they are, not the pixel centers
+    half_pixel = 0.5 * (scale - 1.0)  # scaling keeps the outer edges of the image, not the pixel centers
 
     def scaled(matrix: npt.ArrayLike) -> F64:
         result: F64 = np.asarray(matrix, dtype=np.float64) * scale
@@ -82,23 +82,23 @@ def synthetic_rig(width: int, height: int) -> StereoRig:
 
 
 def inside_raw_image(camera: CameraModel, points: F64) -> npt.NDArray[np.bool_]:
-    """Which points, float64 (..., 3) in the rectified frame of ``camera``, lie within its raw image."""
-    turned = points @ camera.R  # R^T X for rows
+    """Whether points, float64 (..., 3) in the rectified frame of ``camera``, project into its raw image; bool (...)."""
+    raw_points = points @ camera.R  # R^T X for rows
     with np.errstate(invalid="ignore"):
-        x, y = turned[..., 0] / turned[..., 2], turned[..., 1] / turned[..., 2]
+        x, y = raw_points[..., 0] / raw_points[..., 2], raw_points[..., 1] / raw_points[..., 2]
         k1, k2, p1, p2, k3 = camera.D
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         u = camera.K[0, 0] * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + camera.K[0, 2]
         v = camera.K[1, 1] * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + camera.K[1, 2]
         inside: npt.NDArray[np.bool_] = (
-            (turned[..., 2] > 0) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+            (raw_points[..., 2] > 0) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
         )
     return inside
 
 
 def _rectifying_rotation() -> F64:
-    """Left camera to rectified: x along the baseline, z as near as can be to the mean of the two optical axes."""
+    """Rotation from left raw to rectified: x along the baseline, z closest to the mean of the optical axes."""
     x = CENTER_LEFT_RIGHT_M / np.sqrt(np.sum(CENTER_LEFT_RIGHT_M**2))
     y = np.cross(np.array([0.0, 0.0, 1.0]) + R_RIGHT_LEFT[2], x)
     y /= np.sqrt(np.sum(y**2))

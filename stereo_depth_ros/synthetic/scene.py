@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The synthetic world: rectangles, spheres and cylinders with solid textures, in meters.
+"""The synthetic scene: rectangles, spheres and cylinders with solid textures, in meters.
 
-World axes are those of an optical frame: x right, y down, z forward. A solid texture gives every point of space a gray
-level, so that a surface needs no texture coordinates and both cameras see the same level at the same point.
+The world has the axes of an optical frame: x right, y down, z forward. A solid texture assigns a gray level to every
+point in space, so that surfaces need no texture coordinates and both cameras see the same level at the same point.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ RECTANGLE, SPHERE, CYLINDER = 0.0, 1.0, 2.0
 
 @dataclass(frozen=True)
 class Texture:
-    """Gray levels around ``mean``: noise, or a grid that repeats every ``period_m`` meters of world x and y.
+    """A solid texture: noise, or a grid that repeats every ``period_m`` in world x and y.
 
     Attributes:
         mean: mean gray level, 0..255.
-        contrast: scale of the variation, gray levels.
-        period_m: period of the grid, meters; 0 is noise that repeats nowhere.
+        contrast: amplitude of the variation, gray levels.
+        period_m: period of the grid, meters; 0 is noise without repetition.
     """
 
     mean: float = 120.0
@@ -39,7 +39,7 @@ class Texture:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A flat patch: one corner and two perpendicular edges, seen from both sides."""
+    """A planar rectangle, given by one corner and two perpendicular edges in meters; visible from both sides."""
 
     corner: Vector
     edge_u: Vector
@@ -47,7 +47,7 @@ class Rectangle:
     texture: Texture = Texture()
 
     def packed(self) -> F64:
-        """The primitive as the row of numbers that the ray caster reads."""
+        """The primitive as a row of :meth:`Scene.packed`, float64 (17,)."""
         u, v = np.array(self.edge_u), np.array(self.edge_v)
         normal = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
         return _row(RECTANGLE, self.corner, self.texture, u / _squared(u), v / _squared(v), normal)
@@ -55,21 +55,21 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Sphere:
-    """A ball, seen from outside."""
+    """A sphere; visible from outside."""
 
     center: Vector
     radius_m: float
     texture: Texture = Texture()
 
     def packed(self) -> F64:
-        """The primitive as the row of numbers that the ray caster reads."""
+        """The primitive as a row of :meth:`Scene.packed`, float64 (17,)."""
         zero = (0.0, 0.0, 0.0)
         return _row(SPHERE, self.center, self.texture, zero, zero, zero, self.radius_m)
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A pole from ``base`` to ``base + axis``, seen from outside; its ends are open and should touch something."""
+    """A cylinder from ``base`` to ``base + axis``; visible from outside, with open ends."""
 
     base: Vector
     axis: Vector
@@ -77,7 +77,7 @@ class Cylinder:
     texture: Texture = Texture()
 
     def packed(self) -> F64:
-        """The primitive as the row of numbers that the ray caster reads."""
+        """The primitive as a row of :meth:`Scene.packed`, float64 (17,)."""
         axis = np.array(self.axis)
         unit = axis / np.sqrt(_squared(axis))
         return _row(CYLINDER, self.base, self.texture, axis / _squared(axis), (0.0, 0.0, 0.0), unit, self.radius_m)
@@ -88,24 +88,24 @@ Primitive: TypeAlias = Rectangle | Sphere | Cylinder
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything there is to see.
+    """Surfaces and the seed of their textures.
 
     Attributes:
-        primitives: the surfaces; where two coincide the earlier one is seen.
-        seed: which textures the surfaces carry; shapes do not depend on it.
+        primitives: the surfaces; of two that coincide the first one is visible.
+        seed: seed of the textures; the shapes do not depend on it.
     """
 
     primitives: tuple[Primitive, ...]
     seed: int
 
     def packed(self) -> F64:
-        """float64 (N, 17), one row per primitive, as the ray caster reads them."""
+        """The primitives for the ray casting kernels, float64 (N, 17), one row each."""
         return np.stack([primitive.packed() for primitive in self.primitives])
 
 
 def room_scene(seed: int) -> Scene:
-    """A furnished room of 5.2 x 2.6 x 7.2 m around a camera near the origin; the nearest thing is 1.6 m ahead."""
-    return Scene((*_walls(), *_boards(), *_balls(), *_poles()), seed)
+    """A room of 5.2 x 2.6 x 8.2 m with objects, for a camera near the origin; the nearest object is 1.6 m ahead."""
+    return Scene((*_walls(), *_boards(), *_spheres(), *_cylinders()), seed)
 
 
 def _walls() -> list[Primitive]:
@@ -129,7 +129,7 @@ def _boards() -> list[Primitive]:
     ]
 
 
-def _balls() -> list[Primitive]:
+def _spheres() -> list[Primitive]:
     return [
         Sphere((0.05, 0.75, 2.7), 0.35, Texture(160.0)),
         Sphere((-1.3, 0.6, 4.4), 0.5, Texture(85.0)),
@@ -137,7 +137,7 @@ def _balls() -> list[Primitive]:
     ]
 
 
-def _poles() -> list[Primitive]:
+def _cylinders() -> list[Primitive]:
     return [
         Cylinder((-0.5, -1.5, 1.75), (0.0, 2.6, 0.0), 0.018, Texture(175.0, 50.0)),
         Cylinder((1.0, -1.5, 2.6), (0.35, 2.6, 0.2), 0.03, Texture(75.0, 60.0)),
