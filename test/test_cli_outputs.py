@@ -21,7 +21,7 @@ from command_line import CommandLine, Run
 from evaluation_scenes import write_scene
 from stereo_bags import PARAMETERS, messages_of, sequence, write_truth_bag
 
-from stereo_depth_ros.core.camera_yaml import write_camera
+from stereo_depth_ros.calibration.calibration_files import write_camera
 
 PARAM_ARGUMENTS = [text for name, value in PARAMETERS.items() for text in ("--param", f"{name}:={value}")]
 STEREO_DEPTH = [sys.executable, "-m", "stereo_depth_ros.cli.main"]

@@ -17,9 +17,11 @@ from evaluation_scenes import pair, write, write_kitti, write_scene
 from rosbags.rosbag2 import StoragePlugin
 from stereo_bags import compressed_folder, write_truth_bag
 
+from stereo_depth_ros.core.rig import Rig
 from stereo_depth_ros.core.types import F32, U8, MatchResult
-from stereo_depth_ros.evaluation import evaluator
+from stereo_depth_ros.evaluation import bag_scenes, evaluator
 from stereo_depth_ros.matching import Matcher, create_matcher
+from stereo_depth_ros.stages.rectification import Rectifier
 
 KEYS = {"scene", "matcher", "density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg", "ms"}
 SMALL = ("--param", "correlation_window_size:=9")
@@ -210,3 +212,18 @@ def test_tsukuba_and_cones_against_independent_figures(run: Run, stereo_data: Pa
     assert (second["scene"], second["occlusion"], second["disparity_range"]) == ("cones", "mask", 64)
     assert second["nonocc_bad_2_all"] < second["bad_2_all"] < 40
     assert "cones: mask of the dataset" in " ".join(out.split())
+
+
+def test_maps_of_a_bag_are_built_once(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_truth_bag(tmp_path / "room.mcap", 3)
+    rigs = []
+
+    class Counted(Rectifier):
+        def __init__(self, rig: Rig) -> None:
+            rigs.append(rig)
+            super().__init__(rig)
+
+    monkeypatch.setattr(bag_scenes, "Rectifier", Counted)
+    code, _, err = run(tmp_path / "room.mcap", "--matcher", "bm", *SMALL, "--json", tmp_path / "r.json")
+    assert code == 0, err
+    assert (len(rows_of(tmp_path / "r.json")), len(rigs)) == (3, 1)

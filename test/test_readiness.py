@@ -20,10 +20,10 @@ from graph_harness import ENVIRONMENT, NodeProcess
 from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Int64
-from stereo_depth_ros.nodes.replay.live import replay_through_graph
 
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import GraphError
+from stereo_depth_ros.nodes.live_replay import replay_through_graph
 from stereo_depth_ros.nodes.readiness import announce_ready, wait_until_ready
 from stereo_depth_ros.replay.options import ReplayOptions
 

@@ -19,7 +19,7 @@ from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.messages.camera_info import camera_info_message
-from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
 from stereo_depth_ros.messages.image import decode
 
 __all__ = ["BagPairs", "BagSelection", "SerializedPair"]
@@ -98,6 +98,11 @@ class SerializedPair:
         """
         left, right = (types.deserialize(image, image_type) for image in (self.left, self.right))
         return StereoPair(decode(left, "left image"), decode(right, "right image"))
+
+    @property
+    def calibration(self) -> tuple[bytes, bytes]:
+        """Camera infos without their stamps: equal for all pairs of one rig."""
+        return without_stamp(self.left_info), without_stamp(self.right_info)
 
     def rig(self, types: RosbagsTypes) -> StereoRig:
         """The rig of the two camera infos.

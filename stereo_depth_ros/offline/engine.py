@@ -19,7 +19,7 @@ from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import BagError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.evaluation.bag_score import score_disparity
-from stereo_depth_ros.messages.cdr import stamp_text, without_stamp
+from stereo_depth_ros.messages.cdr import stamp_text
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
@@ -103,7 +103,7 @@ class _Engine:
         self._config = config
         self._types = RosbagsTypes()
         self._messages = ResultMessages(self._types)
-        self._infos: tuple[bytes, bytes] | None = None
+        self._calibration: tuple[bytes, bytes] | None = None
         self._pipeline: StereoPipeline | None = None
         self.rig: StereoRig | None = None  # of the last pair
 
@@ -125,9 +125,8 @@ class _Engine:
             yield f"/{topic}", message
 
     def _pipeline_of(self, pair: SerializedPair) -> StereoPipeline:
-        infos = (without_stamp(pair.left_info), without_stamp(pair.right_info))
-        if self._pipeline is None or infos != self._infos:
+        if self._pipeline is None or pair.calibration != self._calibration:
             self.rig = pair.rig(self._types)
             self._pipeline = StereoPipeline(self._config, self.rig)
-            self._infos = infos
+            self._calibration = pair.calibration
         return self._pipeline

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stereo_depth_ros.calibration.row_error import match_rows
+from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
 from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 from stereo_depth_ros.geometry.correspondences import match_features
@@ -39,42 +39,16 @@ NEAR_ROWS_PX = 3.0  # up to here features are matched along the rows
 
 
 @dataclass(frozen=True, eq=False)
-class RowMatching:
-    """Matched features of several rectified pairs.
+class RowMatching(RowMatches):
+    """Matched features of several rectified pairs, without outliers of the row error; ``pairs`` of them."""
 
-    Attributes:
-        left_px, right_px: float64 (N, 2), px; without outliers of the row error.
-        pairs: number of pairs.
-    """
-
-    left_px: F64
-    right_px: F64
     pairs: int
-
-    def __len__(self) -> int:
-        return len(self.left_px)
-
-    @property
-    def errors_px(self) -> F64:
-        """float64 (N,), y_left - y_right."""
-        errors: F64 = self.left_px[:, 1] - self.right_px[:, 1]
-        return errors
 
     @property
     def disparity_px(self) -> F64:
         """float64 (N,), x_left - x_right."""
         disparity: F64 = self.left_px[:, 0] - self.right_px[:, 0]
         return disparity
-
-    @property
-    def median_px(self) -> float:
-        """Median absolute row error, px; infinite without features."""
-        return float(np.median(np.abs(self.errors_px))) if len(self) else math.inf
-
-    @property
-    def rms_px(self) -> float:
-        """Root mean square row error, px; infinite without features."""
-        return float(np.sqrt(np.mean(self.errors_px**2))) if len(self) else math.inf
 
     @property
     def fits(self) -> bool:
