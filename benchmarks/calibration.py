@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry and calibration on real data, beside OpenCV with the same corners and matches.
+"""Geometry and calibration on real data, compared with OpenCV on the same corners and matches.
 
 python benchmarks/calibration.py
 python benchmarks/calibration.py --data ~/stereo --json calibration.json
 
-Row errors are medians of features matched after rectification; those of rectification without calibration are of
-matches that the fundamental matrix was not estimated from. Nothing was tuned on the fisheye boards and scene.
+Row errors are medians over features matched after rectification; those of uncalibrated rectification are over matches
+that were not used to estimate the fundamental matrix. The fisheye boards and scene were not used for tuning.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ TURN_DEG = 0.3
 
 
 class Row(NamedTuple):
-    """One figure."""
+    """One compared quantity."""
 
     data: str
     figure: str
@@ -65,11 +65,11 @@ class Row(NamedTuple):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DEFAULT_DATA, help="folder of the data sets")
-    parser.add_argument("--json", type=Path, help="write the rows there, too")
+    parser.add_argument("--data", type=Path, default=DEFAULT_DATA, help="folder of the datasets")
+    parser.add_argument("--json", type=Path, help="write the rows as JSON")
     arguments = parser.parse_args()
     rows = []
-    for part in (chessboards, fisheyes, known_rectification, matrices, unknown_rectification, health):
+    for part in (chessboards, fisheyes, calibrated_rectification, matrices, uncalibrated_rectification, monitoring):
         for row in part(arguments.data):
             print("| " + " | ".join(row) + " |", flush=True)
             rows.append(row._asdict())
@@ -78,7 +78,7 @@ def main() -> None:
 
 
 def chessboards(data: Path) -> Iterator[Row]:
-    """The 13 pairs of OpenCV's samples."""
+    """The 13 chessboard pairs of the OpenCV samples."""
     views = board_views(data / "opencv_samples" / "chessboard_stereo")
     ours = calibrate(views)
     theirs = opencv_calibration(views, (640, 480))
@@ -91,7 +91,7 @@ def chessboards(data: Path) -> Iterator[Row]:
 
 
 def fisheyes(data: Path) -> Iterator[Row]:
-    """The 10 pairs of StereoPi, and its scene, which is half as large."""
+    """The 10 chessboard pairs of StereoPi, and its scene, which has half the resolution."""
     folder = data / "stereopi" / "fisheye_v2"
     views = board_views(folder / "pairs")
     ours = calibrate(views, "equidistant")
@@ -106,15 +106,17 @@ def fisheyes(data: Path) -> Iterator[Row]:
 def calibration_rows(
     name: str, ours: StereoCalibration, theirs: dict[str, Any], required: tuple[str, str, str]
 ) -> Iterator[Row]:
-    one_eye = f"{ours.left.rms_px:.3f}, {ours.right.rms_px:.3f}"
-    yield Row(name, "reprojection rms, px", one_eye, ", ".join(f"{rms:.3f}" for rms in theirs["sides"]), required[0])
+    reprojection = f"{ours.left.rms_px:.3f}, {ours.right.rms_px:.3f}"
+    yield Row(
+        name, "reprojection rms, px", reprojection, ", ".join(f"{rms:.3f}" for rms in theirs["sides"]), required[0]
+    )
     yield Row(name, "stereo rms, px", f"{ours.rms_stereo_px:.3f}", f"{theirs['rms']:.3f}", required[1])
     sigma = f"{1e3 * ours.baseline_m:.2f} +- {1e3 * ours.baseline_sigma_m:.2f}"
     yield Row(name, "baseline, mm", sigma, f"{1e3 * theirs['baseline']:.2f}", required[2])
 
 
-def known_rectification(data: Path) -> Iterator[Row]:
-    """EuRoC, by the published calibration."""
+def calibrated_rectification(data: Path) -> Iterator[Row]:
+    """EuRoC with the published calibration."""
     dataset = EurocDataset(data / "euroc" / "V1_01_micro")
     frames = list(dataset)[::3]
     raw = [match_features(frame.left.pixels, frame.right.pixels) for frame in frames]
@@ -129,7 +131,7 @@ def known_rectification(data: Path) -> Iterator[Row]:
 
 
 def matrices(data: Path) -> Iterator[Row]:
-    """EuRoC, from matches alone; worst and median of all pairs."""
+    """EuRoC from matches only; median and maximum over all pairs."""
     dataset = EurocDataset(data / "euroc" / "V1_01_micro")
     left, right = dataset.rig.left, dataset.rig.right
     published = RelativePose.from_rig(dataset.rig)
@@ -151,8 +153,8 @@ def matrices(data: Path) -> Iterator[Row]:
         yield Row("EuRoC", name, ours, theirs, limit)
 
 
-def unknown_rectification(data: Path) -> Iterator[Row]:
-    """From F alone, distortion removed first."""
+def uncalibrated_rectification(data: Path) -> Iterator[Row]:
+    """Rectification from F only, after the removal of distortion."""
     dataset = EurocDataset(data / "euroc" / "V1_01_micro")
     frame = next(iter(dataset))
     raw = match_features(frame.left.pixels, frame.right.pixels)
@@ -180,19 +182,19 @@ def uncalibrated_rows(name: str, matches: Correspondences, size: tuple[int, int]
         errors.append(f"{np.median(np.abs(y[0] - y[1])):.3f}")
         worst = max((shape_under(H, size) for H in homographies), key=lambda shape: abs(shape.angle_deg - 90))
         shapes.append(f"{worst.angle_deg:.2f}, {worst.aspect:.4f}")
-    yield Row(name, "row error from F alone, px", errors[0], errors[1], "<= 0.5")
+    yield Row(name, "row error from F only, px", errors[0], errors[1], "<= 0.5")
     yield Row(name, "midlines: angle in deg, aspect", shapes[0], shapes[1], "90, 1")
 
 
-def health(data: Path) -> Iterator[Row]:
-    """KITTI, the second half with its right images turned, beside the first half as it is."""
+def monitoring(data: Path) -> Iterator[Row]:
+    """KITTI: the second half with rotated right images, compared with the unchanged first half."""
     dataset = KittiDataset(data / "kitti_odometry" / "seqA_1226x370")
     pairs = [(frame.left.pixels, frame.right.pixels) for frame in dataset]
     undisturbed = follow(dataset.rig, pairs[:10], None)[-1]
     reference_deg, pairs = float(undisturbed.rotation_deg[1]), pairs[10:]
-    told = ", ".join(f"{value:+.3f}" for value in undisturbed.rotation_deg)
+    angles = ", ".join(f"{value:+.3f}" for value in undisturbed.rotation_deg)
     density, rows_px = quality(dataset.rig, pairs)
-    yield Row("KITTI", "undisturbed: pitch, yaw, roll, deg", told, "", "")
+    yield Row("KITTI", "undisturbed: pitch, yaw, roll, deg", angles, "", "")
     yield Row("KITTI", "undisturbed: density, row error", f"{100 * density:.1f} %, {rows_px:.3f} px", "", "")
     K = dataset.rig.right.P[:, :3]
     for axis, (name, limit) in enumerate(zip("xyz", ("0.03", "0.1", "0.03"), strict=True)):
@@ -207,7 +209,7 @@ def health(data: Path) -> Iterator[Row]:
         error = found[-1].rotation_deg[axis] - undisturbed.rotation_deg[axis] - TURN_DEG
         off = quality(dataset.rig, turned)
         again = quality(corrected_rig(dataset.rig, found[-1], reference_yaw_deg=reference_deg), turned)
-        figure = f"right camera turned by {TURN_DEG} deg about {name}"
+        figure = f"right camera rotated by {TURN_DEG} deg about {name}"
         estimated = f"{error:+.4f} +- {found[-1].rotation_sigma_deg[axis]:.4f} deg off, pair {at}"
         yield Row("KITTI", figure, estimated, "", f"{limit} deg, 20 pairs")
         figures = " -> ".join(f"{100 * d:.1f} %, {e:.3f} px" for d, e in (off, again))
@@ -220,7 +222,7 @@ def follow(rig: StereoRig, pairs: list[tuple[U8, U8]], reference_deg: float | No
 
 
 def quality(rig: StereoRig, pairs: list[tuple[U8, U8]]) -> tuple[float, float]:
-    """Share of pixels with a disparity, and median row error, when the rig rectifies the right images."""
+    """Density of the disparities and median row error if the rig rectifies the right images."""
     rectifier, matcher = Rectifier(rig), create_matcher("sgm", num_disparities=128)
     straight = [(left, rectifier.rectify_right(right)) for left, right in pairs[::2]]
     densities = [np.isfinite(matcher.match(*pair).disparity_px).mean() for pair in straight]
@@ -229,7 +231,7 @@ def quality(rig: StereoRig, pairs: list[tuple[U8, U8]]) -> tuple[float, float]:
 
 
 def board_views(folder: Path) -> list[BoardView]:
-    """Of boards of 9x6 corners, 25 mm."""
+    """Views of a chessboard of 9x6 corners, 25 mm."""
     return find_views(
         open_stereo_images(folder),
         create_board("chessboard", (9, 6), 0.025),
@@ -238,14 +240,14 @@ def board_views(folder: Path) -> list[BoardView]:
 
 
 def raw_scene(folder: Path) -> tuple[U8, U8]:
-    """The scene of StereoPi, as large as its boards."""
+    """The scene of StereoPi, scaled to the resolution of its boards."""
     scene = cv2.imread(str(folder / "scenes" / "photo.png"), cv2.IMREAD_GRAYSCALE)
     large = np.asarray(cv2.resize(scene, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC), np.uint8)
     return np.ascontiguousarray(large[:, :640]), np.ascontiguousarray(large[:, 640:])
 
 
 def fisheye_scene(folder: Path, rig: StereoRig) -> tuple[U8, U8]:
-    """The same rectified."""
+    """The rectified scene of StereoPi."""
     rectifier = Rectifier(rig)
     left, right = raw_scene(folder)
     return rectifier.rectify_left(left), rectifier.rectify_right(right)

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Latency and throughput of the graph: raw pair published to PointCloud2 received, beside the bare kernels.
+"""Latency and throughput of the graph, from raw pair published to PointCloud2 received, compared with the bare kernels.
 
-This process publishes raw pairs and receives cloud and disparity; the nodes run in processes of their own. The bare
-kernels (remap twice, the matcher, reprojection; OpenCV's where it has them, with all threads) are measured between the
-frames.
+This process publishes raw pairs and receives clouds and disparities; each node runs in a separate process. The bare
+kernels (two remaps, matcher and reprojection, those of OpenCV if available, with all threads) are timed between frames.
 
     python benchmarks/graph.py
     python benchmarks/graph.py --shapes fused --matchers bm --frames 100
@@ -56,7 +55,7 @@ TIMEOUT_S = 20.0
 
 @dataclass
 class Row:
-    """What one combination gave."""
+    """The results of one combination of size, matcher and processes."""
 
     size: str
     matcher: str
@@ -75,7 +74,7 @@ class Row:
 
 
 class Harness:
-    """Publishes pairs as serialized bytes and counts what comes back."""
+    """Publishes serialized pairs and counts the received outputs."""
 
     def __init__(self, sequence: SyntheticSequence, typed: bool) -> None:
         self._types = RosbagsTypes()
@@ -110,17 +109,17 @@ class Harness:
         while not all(p.get_subscription_count() for p in self._publishers.values()):
             if time.monotonic() > deadline:
                 missing = [t for t, p in self._publishers.items() if not p.get_subscription_count()]
-                raise TimeoutError(f"nobody subscribed {missing} within {TIMEOUT_S:g} s")
+                raise TimeoutError(f"no subscriber of {missing} within {TIMEOUT_S:g} s")
             self._executor.spin_once(timeout_sec=0.1)
-        # Both ends of each link must have found the other before best-effort messages go through: try until one has.
+        # Best-effort messages are lost until both ends of a connection have discovered each other: retry until then.
         while not self.wait(1, timeout_s=2.0):
             if time.monotonic() > deadline:
                 raise TimeoutError(f"no cloud and disparity within {TIMEOUT_S:g} s")
             self.send(self.messages())
-        self.wait(sys.maxsize, timeout_s=1.0)  # what the tries still bring
+        self.wait(sys.maxsize, timeout_s=1.0)  # receive the outputs of the retries
 
     def messages(self) -> dict[str, bytes]:
-        """The next pair, serialized; all four topics."""
+        """The serialized messages of the next pair by topic."""
         self._stamp_ns += 1_000_000
         types, stamp = self._types, self._stamp_ns
         left, right = self._pair.left, self._pair.right
@@ -136,7 +135,7 @@ class Harness:
             self._publishers[topic].publish(data)
 
     def wait(self, count: int, timeout_s: float = TIMEOUT_S) -> bool:
-        """True once that many clouds and disparities have come."""
+        """Wait for that many clouds and disparities; False after the timeout."""
         deadline = time.monotonic() + timeout_s
         while min(self.received.values()) < count and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)
@@ -154,7 +153,7 @@ class Harness:
 
 
 def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[], float]:
-    """A function that runs remap twice, the matcher and the reprojection once and returns the milliseconds."""
+    """A function that runs two remaps, the matcher and the reprojection, and returns the time, milliseconds."""
     height, width = pair.left.pixels.shape
     K = np.array([[width * 0.9, 0, width / 2], [0, width * 0.9, height / 2], [0, 0, 1.0]])
     maps = cv2.initUndistortRectifyMap(
@@ -162,8 +161,8 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
     )
     Q = np.array([[1, 0, 0, -width / 2], [0, 1, 0, -height / 2], [0, 0, 0, width * 0.9], [0, 0, 8.0, 0]])
     left, right = np.empty((2, height, width), np.uint8)
-    fixed = np.empty((height, width), np.int16)
-    match = _bare_matcher(matcher, disparities, fixed)
+    disparity_x16 = np.empty((height, width), np.int16)
+    match = _bare_matcher(matcher, disparities, disparity_x16)
     disparity = np.empty((height, width), np.float32)
     points = np.empty((height, width, 3), np.float32)
 
@@ -173,7 +172,7 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
         cv2.remap(pair.right.pixels, maps[0], maps[1], cv2.INTER_LINEAR, right)
         match(pair.left.pixels, pair.right.pixels)
         middle = time.perf_counter()
-        np.multiply(fixed, np.float32(1 / 16), out=disparity)
+        np.multiply(disparity_x16, np.float32(1 / 16), out=disparity)
         again = time.perf_counter()
         cv2.reprojectImageTo3D(disparity, Q, points)
         return 1e3 * (time.perf_counter() - again + middle - start)
@@ -181,12 +180,12 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
     return run
 
 
-def _bare_matcher(matcher: str, disparities: int, fixed: I16) -> Callable[[U8, U8], object]:
-    """OpenCV's where it has the method, with the defaults of the nodes."""
+def _bare_matcher(matcher: str, disparities: int, disparity_x16: I16) -> Callable[[U8, U8], object]:
+    """The matcher of OpenCV if it has one, with the default parameters of the nodes."""
     if matcher == "sgm":
         return create_matcher("sgm", num_disparities=disparities).match
     stereo = _opencv_matcher(matcher, disparities)
-    return lambda left, right: stereo.compute(left, right, fixed)
+    return lambda left, right: stereo.compute(left, right, disparity_x16)
 
 
 def _opencv_matcher(matcher: str, disparities: int) -> cv2.StereoMatcher:
@@ -204,7 +203,7 @@ def _opencv_matcher(matcher: str, disparities: int) -> cv2.StereoMatcher:
 
 @contextmanager
 def graph_processes(shape: str, matcher: str, disparities: int) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """The nodes of a shape, each a process."""
+    """The nodes of a shape, one process each."""
     parameters = {"stereo_algorithm": list(MATCHERS).index(matcher), "disparity_range": disparities}
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
     processes = [
@@ -278,11 +277,13 @@ def _measure(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--in-flight", type=int, default=3, help="pairs under way when going as fast as it goes")
+    parser.add_argument(
+        "--in-flight", type=int, default=3, help="pairs processed at the same time when measuring the maximum rate"
+    )
     parser.add_argument("--shapes", nargs="+", default=list(NODES), choices=list(NODES))
     parser.add_argument("--matchers", nargs="+", default=["bm", "sgbm", "sgm"], choices=["bm", "sgbm", "sgm"])
     parser.add_argument("--sizes", nargs="+", type=int, default=[0, 1], choices=[0, 1])
-    parser.add_argument("--typed", action="store_true", help="receive decoded messages instead of their bytes")
+    parser.add_argument("--typed", action="store_true", help="receive deserialized messages instead of bytes")
     options = parser.parse_args()
     rclpy.init()
     print("          size   alg     shape  kernels ms  latency ms   p95 ms  ratio frames/s  lost")

@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy and speed of the real-time matchers beside OpenCV's, on real scenes with truth.
+"""Accuracy and speed of the real-time matchers compared with OpenCV, on real scenes with ground truth.
 
 python benchmarks/matching.py
 python benchmarks/matching.py --data ~/stereo --scenes cones Art --parts accuracy locking
 python benchmarks/matching.py --parts speed limit --rounds 30 --json matching.json
 
-SGBM, 3WAY and BM are bare OpenCV objects, which return 16-bit fixed point. The others are ours with their defaults, but
-`sgbm` has the parameters of SGBM: beside it, and `bm` beside BM, it shows what the Matcher protocol adds.
+SGBM, 3WAY and BM are bare OpenCV matchers, which return 16-bit fixed point. The others are those of this package with
+their defaults, except `sgbm`, which has the parameters of SGBM. The differences of `sgbm` to SGBM and of `bm` to BM are
+the overhead of the Matcher protocol.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ Call: TypeAlias = Callable[[U8, U8], npt.NDArray[Any]]  # float32 px with NaN, o
 Row: TypeAlias = dict[str, Any]
 
 TUNED_ON = ("venus", "cones", "Art", "Aloe", "Bowling1", "Motorcycle_quarter")
-SUBPIXEL_SCENES = ("Motorcycle_quarter", "terrace")  # their truth is not rounded
+SUBPIXEL_SCENES = ("Motorcycle_quarter", "terrace")  # with ground truth that is not rounded
 SPEED_SCENE = "Motorcycle_quarter"  # its 60 px of disparity become 52 px and 103 px
 SIZES = ((640, 480, 64), (1280, 720, 128))
 FIGURES = ("density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg_px")
@@ -101,7 +102,7 @@ COMPARED = ("sgm", "sgm dense", "sgm 8 paths", "SGBM", "3WAY", "bm")  # the othe
 
 
 def disparities(call: Call, left: U8, right: U8, search: MatchingConfig) -> F32:
-    """What the method returns as float32 px, NaN where invalid."""
+    """The disparities of the method, float32, px, NaN where invalid."""
     found = call(left, right)
     if found.dtype == np.float32:
         return found
@@ -109,7 +110,7 @@ def disparities(call: Call, left: U8, right: U8, search: MatchingConfig) -> F32:
 
 
 def timed_ms(calls: dict[str, Call], left: U8, right: U8, rounds: int) -> dict[str, list[float]]:
-    """Milliseconds of every call in every round, after one that warms up; calls alternate and see the same machine."""
+    """Milliseconds of every call in every round after a warm-up round; calls alternate to see the same machine load."""
     times: dict[str, list[float]] = {name: [] for name in calls}
     for name in [*calls] * (rounds + 1):
         begin = time.perf_counter()
@@ -145,7 +146,7 @@ def means(rows: list[Row]) -> dict[str, Row]:
 
 
 def requirements(rows: list[Row]) -> list[Row]:
-    """sgm beside SGBM over all scenes, those used for tuning and the others, and what misses its bound in REQUIRED."""
+    """sgm compared with SGBM on all scenes, on those used for tuning and on the others, and the violated bounds."""
     tuned = [row for row in rows if row["scene"] in TUNED_ON]
     held_out = [row for row in rows if row["scene"] not in TUNED_ON]
     found: list[Row] = []
@@ -164,10 +165,10 @@ def requirements(rows: list[Row]) -> list[Row]:
 
 
 def locking(scenes: dict[str, Scene]) -> list[Row]:
-    """Histograms of the fractional part of disparities that both methods have right to 1 px, and of their truth.
+    """Histograms of the fractional parts of disparities with errors up to 1 px in both methods, and of their truth.
 
-    Bins are centered on 0, 0.1 ... 0.9. A disparity is spread evenly over its step, or steps of 1/16 would fall
-    unevenly into bins. Distance: the share that would have to move to make it the histogram of the truth.
+    Bins are centered on 0, 0.1 ... 0.9. A disparity is spread evenly over its step: steps of 1/16 would otherwise fall
+    unevenly into the bins. Distance: the share that would have to move to match the histogram of the truth.
     """
     rows: list[Row] = []
     for scene in SUBPIXEL_SCENES:
@@ -196,8 +197,8 @@ def speed(scene: Scene, rounds: int) -> list[Row]:
             times = in_process(cores, _measure, count, left, right, rounds)
             for name, ms in times.items():
                 row = {"cores": cores, "size": f"{width}x{height}/{count}", "method": name}
-                row |= {"least ms": min(ms), "median ms": statistics.median(ms)}
-                row |= {"ratio of least": min(ms) / min(times["SGBM"])}
+                row |= {"minimum ms": min(ms), "median ms": statistics.median(ms)}
+                row |= {"ratio of minima": min(ms) / min(times["SGBM"])}
                 row |= {"ratio of medians": statistics.median(ms) / statistics.median(times["SGBM"])}
                 required = name == "sgm" and cores == 2
                 rows.append(row | {"holds": row["ratio of medians"] <= LARGEST_TIME_RATIO if required else None})
@@ -210,7 +211,7 @@ def _measure(count: int, left: U8, right: U8, rounds: int) -> dict[str, list[flo
 
 
 def in_process(cores: int, function: Callable[..., Any], *args: Any) -> Any:
-    """The result of ``function`` in a process that may use so many cores, OpenCV's threads included."""
+    """The result of ``function`` in a process restricted to ``cores`` cores, including the threads of OpenCV."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, initializer=_use_cores, initargs=(cores,)) as pool:
         return pool.submit(function, *args).result()
@@ -224,9 +225,9 @@ def _use_cores(cores: int) -> None:
 class Stage(NamedTuple):
     """A step of sgm with 4 paths, for one pixel and disparity.
 
-    ``rows`` it runs over: "costs" of the strip with its approaches on both sides, "path" with that on one, or "once".
-    ``operations`` of a vector register, counted in bytes: an operation on 16-bit lanes is two. ``nearest`` bytes are
-    loaded and stored for one pixel at a time, ``row`` bytes come from or go to buffers of a row, ``strip`` of a strip.
+    ``rows`` that it processes: "costs" the strip and the overlap on both sides, "path" the strip and the overlap on one
+    side, "once" the strip. ``operations`` of vector registers, counted in bytes: one on 16-bit lanes counts as two.
+    ``nearest`` bytes are loaded and stored per pixel, ``row`` bytes in buffers of a row, ``strip`` in those of a strip.
     """
 
     name: str
@@ -241,19 +242,19 @@ STAGES = (
     Stage("Hamming distance", "costs", 24, 8, 1, 0),  # 64-bit exclusive or, population count, narrowing
     Stage("smoothing along x", "costs", 2, 2, 2, 0),
     Stage("smoothing along y", "costs", 2, 0, 3, 1),
-    Stage("path from above", "path", 7, 2, 1, 2),  # the path costs before are loaded at three places
+    Stage("path from above", "path", 7, 2, 1, 2),  # the previous path costs are loaded at three offsets
     Stage("path from below", "path", 7, 2, 2, 1),
     Stage("path from left", "once", 7, 4, 1, 0),
     Stage("sum", "once", 10, 1, 3, 1),
     Stage("path from right", "once", 7, 4, 1, 0),
     Stage("keys", "once", 20, 9, 2, 0),
-    Stage("least and second bid", "once", 16, 12, 0, 0),
-    Stage("bids of right pixels", "once", 4, 12, 0, 0),
+    Stage("lowest and second key", "once", 16, 12, 0, 0),
+    Stage("keys of right pixels", "once", 4, 12, 0, 0),
 )
 
 
 def limit(scene: Scene, rounds: int) -> list[Row]:
-    """The work of sgm, and what it would take one core at its measured peaks; see :class:`Stage`."""
+    """The operations of sgm, and the time of one core for them at its measured peak rates; see :class:`Stage`."""
     return [in_process(1, _limit, size, scene.left, scene.right, rounds) for size in SIZES]
 
 
@@ -283,11 +284,11 @@ def _limit(size: tuple[int, int, int], left: U8, right: U8, rounds: int) -> Row:
         "memory ms": memory_ms,
         "best ms": max(compute_ms, memory_ms),
         "sgm ms": ms,
-        "times best": ms / max(compute_ms, memory_ms),
+        "ratio to best": ms / max(compute_ms, memory_ms),
     }
 
 
-_OPERATIONS = 16  # of _operate on every byte
+_OPERATIONS = 16  # by _operate on every byte
 
 
 @compiled("void(int64, uint8[::1], uint8[::1], uint8, uint8)")
@@ -308,8 +309,8 @@ def _copy(repeats: int, a: U8, b: U8, p: np.uint8, q: np.uint8) -> None:
 
 
 def peak(kernel: Callable[..., None], size: int, rounds: int) -> float:
-    """Bytes of an array of ``size`` that the kernel goes through in a second, at best."""
-    a, b = np.full((2, size), 1, np.uint8)  # not zeros: unwritten pages of zeros are one page
+    """Maximum number of bytes per second that the kernel processes in an array of ``size`` bytes."""
+    a, b = np.full((2, size), 1, np.uint8)  # not zeros: untouched zero pages share one physical page
     repeats = max((1 << 26) // size, 1)
     least = float("inf")
     for _ in range(rounds):
@@ -320,7 +321,7 @@ def peak(kernel: Callable[..., None], size: int, rounds: int) -> float:
 
 
 def table(title: str, rows: Sequence[Row]) -> None:
-    """Prints rows of one set of keys as Markdown."""
+    """Print rows with equal keys as a Markdown table."""
     if not rows:
         return
     print(f"\n{title}\n\n| {' | '.join(rows[0])} |\n|{' --- |' * len(rows[0])}")
@@ -338,22 +339,22 @@ def _cell(value: Any) -> str:
 
 
 def load_scenes(folder: Path, names: Sequence[str]) -> dict[str, Scene]:
-    """The scenes with truth of a folder, or those of them that are named."""
+    """The scenes with ground truth of a folder, or the named ones of them."""
     sources = {source.name: source for source in find_scenes(folder)}
     if unknown := set(names) - set(sources):
-        raise SystemExit(f"no scene {', '.join(sorted(unknown))} in {folder}: there are {', '.join(sources)}")
+        raise SystemExit(f"no scene {', '.join(sorted(unknown))} in {folder}: name some of {', '.join(sources)}")
     return {name: sources[name].load() for name in names or sources}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     default = os.environ.get("STEREO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
-    parser.add_argument("--data", type=Path, default=Path(default), help="folder of scenes with truth")
-    parser.add_argument("--scenes", nargs="+", default=[], help="names of scenes, all when not given")
+    parser.add_argument("--data", type=Path, default=Path(default), help="folder of scenes with ground truth")
+    parser.add_argument("--scenes", nargs="+", default=[], help="names of scenes; default: all")
     parts = ("accuracy", "locking", "speed", "limit")
     parser.add_argument("--parts", nargs="+", default=parts, choices=parts)
-    parser.add_argument("--rounds", type=int, default=15, help="timed rounds of speed and limit")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all rows there as well")
+    parser.add_argument("--rounds", type=int, default=15, help="number of timed rounds for speed and limit")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all rows as JSON")
     options = parser.parse_args()
     scenes = load_scenes(options.data, options.scenes)
     print(f"OpenCV {cv2.__version__}, {core_count()} cores")
@@ -375,7 +376,7 @@ def main() -> None:
         table(f"Speed on {SPEED_SCENE}, resized; ratios to SGBM", found["speed"])
     if "limit" in options.parts:
         found["limit"] = limit(scene, options.rounds)
-        table("sgm on one core beside the limits of the machine, per pixel and disparity", found["limit"])
+        table("sgm on one core compared with the limits of the machine, per pixel and disparity", found["limit"])
     if options.json:
         write_file(options.json, json.dumps(found, indent=1) + "\n", overwrite=True)
 

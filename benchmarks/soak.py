@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ten thousand frames through the fused node: memory of the node along the way, and what was lost.
+"""Ten thousand frames through stereo_depth_node: memory of the node over time, and lost frames.
 
 python benchmarks/soak.py
 python benchmarks/soak.py --frames 2000
@@ -20,7 +20,7 @@ REPORTS = 20
 
 
 def resident_mib(pid: int) -> float:
-    """Resident memory of a process, without the shared-memory segments."""
+    """Resident memory of a process without shared-memory segments, MiB."""
     status = Path(f"/proc/{pid}/status").read_text()
     fields = dict(line.split(":", 1) for line in status.splitlines())
     return int(fields["RssAnon"].split()[0]) / 1024

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Starts stereo depth: one node for each stage, or with fused:=true the whole path in one node."""
+"""Starts stereo depth: one node for each stage, or with fused:=true the whole pipeline in one node."""
 
 import dataclasses
 
@@ -13,7 +13,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from stereo_depth_ros.config import CalibrationMonitorConfig, PipelineConfig, parameter_infos
 
-PATH = [item.name for item in dataclasses.fields(PipelineConfig)]
+PIPELINE = [item.name for item in dataclasses.fields(PipelineConfig)]
 STAGES = {item.name: list(parameter_infos(item.default)) for item in dataclasses.fields(PipelineConfig)}
 STAGES["health"] = list(parameter_infos(CalibrationMonitorConfig))
 
@@ -23,14 +23,14 @@ ARGUMENTS = {
     "namespace": ("", "Namespace of the nodes."),
     "left_namespace": ("left", "Namespace of the topics of the left camera."),
     "right_namespace": ("right", "Namespace of the topics of the right camera."),
-    "health": ("false", "Start calibration_monitor, which watches the calibration; see auto_correct."),
-    "container": ("", "Taken for compatibility and not used: nodes in Python run in processes of their own."),
+    "health": ("false", "Start calibration_monitor, which monitors the calibration; see auto_correct."),
+    "container": ("", "Accepted for compatibility, not used: each Python node runs in its process."),
 }
 
 IMAGE_TOPICS = ("image_raw", "image_rect", "image_rect_color")
 CAMERA_TOPICS = ("camera_info", *IMAGE_TOPICS, *(f"{topic}/compressed" for topic in IMAGE_TOPICS))
 
-# image_transport speaks of the cameras: what rectify_node publishes is raw
+# image_transport is that of the cameras: rectify_node publishes raw images
 RECTIFIED_TRANSPORT = PythonExpression(
     [
         *("'raw' if '", LaunchConfiguration("launch_image_proc"), "'.lower() in ('true', '1') else '"),
@@ -39,7 +39,7 @@ RECTIFIED_TRANSPORT = PythonExpression(
 )
 
 
-# With auto_correct, by the camera infos that calibration_monitor publishes
+# With auto_correct, rectify with the camera infos of calibration_monitor
 RIGHT_INFO_TO_RECTIFY = PythonExpression(
     [
         *("'/camera_info_corrected' if '", LaunchConfiguration("health"), "'.lower() in ('true', '1')"),
@@ -83,7 +83,7 @@ def stage_node(executable, *stages, condition=None, rectifies=False, **parameter
 
 
 def generate_launch_description():
-    """Arguments, the shape that was asked for, and a word where an argument has no effect."""
+    """Arguments, nodes, and a message where an argument has no effect."""
     fused = LaunchConfiguration("fused")
     container = LaunchConfiguration("container")
     rectified = {"image_transport": RECTIFIED_TRANSPORT}
@@ -99,7 +99,7 @@ def generate_launch_description():
                 for info in infos
             ),
             LogInfo(
-                msg=["container:=", container, " is not used: nodes in Python run in processes of their own"],
+                msg=["container:=", container, " is not used: each Python node runs in its process"],
                 condition=IfCondition(PythonExpression(["'", container, "' != ''"])),
             ),
             GroupAction(
@@ -116,7 +116,7 @@ def generate_launch_description():
                 ],
                 condition=UnlessCondition(fused),
             ),
-            stage_node("stereo_depth_node", *PATH, condition=IfCondition(fused), rectifies=True),
+            stage_node("stereo_depth_node", *PIPELINE, condition=IfCondition(fused), rectifies=True),
             stage_node(
                 "calibration_monitor",
                 "pairing",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         GraphError,
         ImageError,
         MessageError,
+        OutputError,
         StereoDepthError,
         TopicError,
     )
@@ -37,6 +38,7 @@ __all__ = [
     "MatchResult",
     "MatchingConfig",
     "MessageError",
+    "OutputError",
     "PipelineConfig",
     "Reason",
     "StereoDepthError",
@@ -53,8 +55,8 @@ _NAMES = {
     "config": ("MatchingConfig", "PipelineConfig"),
     "core.camera": ("CameraModel",),
     "core.errors": (
-        *("BagError", "CalibrationError", "ConfigError", "GraphError"),
-        *("ImageError", "MessageError", "StereoDepthError", "TopicError"),
+        *("BagError", "CalibrationError", "ConfigError", "GraphError", "ImageError"),
+        *("MessageError", "OutputError", "StereoDepthError", "TopicError"),
     ),
     "core.rig": ("StereoRig",),
     "core.types": ("Frame", "MatchResult", "Reason", "StereoPair"),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of the camera infos of a setup, and what the doctor then finds."""
+"""Changes of the camera infos of a setup, and the findings by check."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ def with_infos(setup: StereoSetup, left: Change = as_is, right: Change = as_is) 
 
 
 def faults(diagnosis: Diagnosis) -> dict[str, Finding]:
-    return {finding.check: finding for finding in diagnosis.findings if finding.level > Level.LEFT_OUT}
+    return {finding.check: finding for finding in diagnosis.findings if finding.level > Level.SKIPPED}
 
 
 def all_of(diagnosis: Diagnosis) -> dict[str, Finding]:
     found = {finding.check: finding for finding in diagnosis.findings}
-    assert len(found) == len(diagnosis.findings), "a check is told twice"
+    assert len(found) == len(diagnosis.findings), "a check is reported twice"
     return found

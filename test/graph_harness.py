@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Support of the graph tests: nodes in this process or in their own, a camera that feeds them, waits that end."""
+"""Support of the graph tests: nodes in this or another process, a synthetic camera, waits with a timeout."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ __all__ = ["NS_PER_S", "Graph", "NodeProcess", "StereoCamera", "image_pixels", "
 NS_PER_S = 10**9
 TIMEOUT_S = 15.0
 ROOT = Path(__file__).resolve().parents[1]
-# A domain of its own: nothing that runs on this machine is disturbed, or disturbs.
+# A separate domain: no interference with other nodes on this machine.
 ENVIRONMENT = {"ROS_DOMAIN_ID": str(70 + os.getpid() % 20), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
@@ -93,7 +93,7 @@ def colored(pixels: U8) -> U8:
 class Graph:
     """Nodes and a test node in this process, spun together by the waits of the test.
 
-    What a callback of a node lets through ends the test, as it would end the node.
+    An exception of a callback ends the test, as it would end the node.
 
     Args:
         node_types: classes of the nodes.
@@ -140,13 +140,13 @@ class Graph:
         rclpy.try_shutdown()
 
     def spin(self, seconds: float) -> None:
-        """Lets the nodes work for a while, to see that something does not come."""
+        """Spins for a while, to see that a message does not arrive."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
 
     def wait(self, condition: Callable[[], Any], what: str, timeout_s: float = TIMEOUT_S) -> None:
-        """Spins until ``condition``; fails with ``what`` and the last log lines where it does not come."""
+        """Spins until ``condition``; fails with ``what`` and the last log lines after the timeout."""
         end = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > end:
@@ -154,7 +154,7 @@ class Graph:
             self._executor.spin_once(timeout_sec=0.05)
 
     def listen(self, topic: str, kind: Any, depth: int = 10, reliable: bool = True) -> list[Any]:
-        """Subscribes; the list grows with the messages that come."""
+        """Subscribes; the list of messages received."""
         received: list[Any] = []
         qos = _qos(depth, reliable)
         self._subscriptions[topic] = self._node.create_subscription(kind, topic, received.append, qos)
@@ -189,7 +189,7 @@ class Graph:
         return [self._node.count_subscribers(topic) for topic in topics]
 
     def publishers(self, topic: str) -> list[Any]:
-        """What the graph knows of the publishers of a topic."""
+        """Endpoint infos of the publishers of a topic."""
         return list(self._node.get_publishers_info_by_topic(topic))
 
     def errors(self, pattern: str) -> list[str]:
@@ -202,7 +202,7 @@ class Graph:
         return self.errors(pattern)[0]
 
     def status(self, node: Any = None) -> DiagnosticStatus:
-        """What a node says of itself on /diagnostics now."""
+        """The current diagnostics of a node."""
         node = node or self.nodes[0]
         name = node.get_fully_qualified_name()
         self.diagnostics.clear()
@@ -211,16 +211,16 @@ class Graph:
         return next(m.status[0] for m in reversed(self.diagnostics) if m.status[0].name == name)
 
     def counter(self, name: str, node: Any = None) -> int:
-        """A counter on /diagnostics, 0 where it is not told."""
+        """A counter on /diagnostics, 0 where it is missing."""
         values = {item.key: item.value for item in self.status(node).values}
         return int(values.get(name, "0"))
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        """The answer of a service."""
+        """The response of a service."""
         client = self._node.create_client(kind, name)
         self.wait(client.service_is_ready, f"service {name}")
         future = client.call_async(request)
-        self.wait(future.done, f"answer of {name}")
+        self.wait(future.done, f"response of {name}")
         self._node.destroy_client(client)
         return future.result()
 
@@ -248,7 +248,7 @@ def parameter_value(value: Any) -> ParameterValue:
 
 
 class NodeProcess:
-    """A node in its own process, with its output in a file.
+    """A node in a separate process, with its output in a file.
 
     Args:
         node: module of the node.
@@ -269,8 +269,13 @@ class NodeProcess:
             )
 
     @property
+    def number(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
     def text(self) -> str:
-        """What it has written so far."""
+        """Its output so far."""
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boards as printed, photographed by cameras that are known exactly; and the exact corners alone."""
+"""Printed boards rendered by cameras that are known exactly, and their exact corners."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ RIGS = {rig.model: rig for rig in (PINHOLE, RATIONAL, FISHEYE)}
 
 
 def poses(count: int, board_m: F64, rig: KnownRig, seed: int = 0) -> list[F64]:
-    """Poses of a board, tilted and everywhere, in which both cameras see all of it."""
+    """Random poses of a board, tilted, in which both cameras see all of it."""
     random = np.random.default_rng(seed)
     found: list[F64] = []
     center = board_m.mean(axis=0)
@@ -121,7 +121,7 @@ def charuco_print(columns: int, rows: int, marker: float, cell_px: int = 40) -> 
 def aprilgrid_print(
     columns: int, rows: int, spacing: float, border_bits: int, turns: int = 0, tag_px: int = 80
 ) -> tuple[U8, F64]:
-    """A print of a board as Kalibr makes it, with small black squares between the tags; upside down, as y goes up."""
+    """A print of a board in Kalibr's layout, with small black squares between the tags; flipped, as y points up."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     gap = round(spacing * tag_px)
     pitch = tag_px + gap
@@ -147,7 +147,7 @@ def _with_margin(image: U8, cell_px: int) -> U8:
 def photograph(
     print_: tuple[U8, F64], cell_px: int, cell_m: float, rig: KnownRig, pose: F64, noise: float = 2.0
 ) -> tuple[U8, U8]:
-    """Left and right image of a print, 3 x 3 samples a pixel, with a little noise."""
+    """Left and right image of a print, 3 x 3 samples per pixel, with slight noise."""
     random = np.random.default_rng(round(1e6 * abs(pose[0])))
     images = []
     for side, at in _sides(rig, pose):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A street whose right camera has turned, played through the live graph that corrects it; and what the bag keeps."""
+"""A street with a turned right camera, played through a live graph that corrects it, and the recorded bag."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SETTLED = 5  # pairs at the end, long after the correction
 
 @dataclass(frozen=True)
 class Played:
-    """The last pairs that came out: share of pixels with a disparity, and median row error, px."""
+    """The last pairs: share of pixels with a disparity, and median row error, px."""
 
     bag: Path
     density: float
@@ -98,14 +98,14 @@ def corrected(stereo_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Pl
     return play(write_street(stereo_data, folder / "turned.mcap", 0.3), folder / "turned_out.mcap", "correct")
 
 
-def test_density_and_rows_come_back(undisturbed: Played, corrected: Played) -> None:
+def test_density_and_rows_recover(undisturbed: Played, corrected: Played) -> None:
     """To within 5 % of the run with nothing wrong."""
     assert corrected.density == pytest.approx(undisturbed.density, rel=0.05)
     assert corrected.row_error_px == pytest.approx(undisturbed.row_error_px, rel=0.05)
 
 
 def test_the_first_pairs_were_not_right(corrected: Played) -> None:
-    """So that there was something to correct."""
+    """Without correction the rows are off."""
     with BagReader(corrected.bag) as reader:
         first = [next(iter(reader.messages([f"/{side}/image_rect"]))) for side in ("left", "right")]
         images = [reader.deserialize(message) for message in first]
@@ -113,7 +113,7 @@ def test_the_first_pairs_were_not_right(corrected: Played) -> None:
     assert match_rows(pair[0], pair[1]).median_px > 3
 
 
-def test_the_bag_says_what_was_corrected_to_late_subscribers_too(corrected: Played) -> None:
+def test_the_bag_has_the_correction_for_late_subscribers_too(corrected: Played) -> None:
     with AnyReader([corrected.bag]) as reader:
         (connection,) = [c for c in reader.connections if c.topic == "/health/correction"]
         (profile,) = connection.ext.offered_qos_profiles  # type: ignore[union-attr]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The closed loop of corrections: pairs of a camera that has turned, rectified with the rig that the loop gives."""
+"""The closed loop of corrections: pairs of a camera that has rotated, rectified with the rig of the loop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RIG = StereoRig.from_calibration(K_LEFT, D, K_RIGHT, D, *POSE, (640, 430))
 
 
 def pair(seed: int, rig: StereoRig, w: F64, noise_px: float = 0.15) -> RowMatches:
-    """Rows of a rectified pair: the right camera has turned by w since RIG was calibrated, and ``rig`` rectifies."""
+    """Row matches of a pair rectified with ``rig`` whose right camera has rotated by w since RIG was calibrated."""
     random = np.random.default_rng(seed)
     depth_m = random.uniform(0.8, 12, 250)
     left = random.uniform((30, 20), (610, 410), (250, 2))
@@ -40,7 +40,7 @@ def run(loop: AutoCorrection, w: F64, pairs: int, seed: int = 0) -> list[bool]:
     used, changed = [loop.rig] * STALE_PAIRS, []
     for number in range(pairs):
         used.append(loop.rig)
-        changed.append(loop.look(pair(seed + number, used[-1 - STALE_PAIRS], w))[1])
+        changed.append(loop.add(pair(seed + number, used[-1 - STALE_PAIRS], w))[1])
     return changed
 
 
@@ -49,7 +49,7 @@ def row_error(rig: StereoRig, w: F64) -> float:
 
 
 @pytest.mark.parametrize("w_deg", [[0.3, 0, 0], [0, 0.4, 0], [0, 0, 0.3], [-0.5, 0.3, 0.4]])
-def test_rows_come_together_and_stay(w_deg: list[float]) -> None:
+def test_row_errors_converge_and_stay(w_deg: list[float]) -> None:
     w, loop = np.radians(w_deg), AutoCorrection(RIG, reference_yaw_deg=0.0)
     changed = run(loop, w, 40)
     assert changed.index(True) == MIN_FRAMES - 1
@@ -62,21 +62,21 @@ def test_rows_come_together_and_stay(w_deg: list[float]) -> None:
     assert loop.refusal == ""
 
 
-def test_without_a_reference_yaw_is_left_alone() -> None:
+def test_without_a_reference_yaw_is_not_corrected() -> None:
     loop = AutoCorrection(RIG)
     assert not any(run(loop, np.radians([0.0, 0.5, 0.0]), 20))
     run(loop, np.radians([0.3, 0.5, 0.0]), 30, seed=50)
     np.testing.assert_allclose(loop.correction.rotation_deg, [0.3, 0, 0], atol=0.03)
 
 
-def test_the_yaw_of_the_healthy_rig_stays() -> None:
+def test_the_reference_yaw_is_kept() -> None:
     assert not any(run(AutoCorrection(RIG, reference_yaw_deg=0.5), np.radians([0.0, 0.5, 0.0]), 20))
     loop = AutoCorrection(RIG, reference_yaw_deg=0.5)
     run(loop, np.radians([0.0, 0.9, 0.0]), 40, seed=50)
     np.testing.assert_allclose(loop.correction.rotation_deg, [0, 0.4, 0], atol=0.05)
 
 
-def test_nothing_is_done_without_need() -> None:
+def test_an_aligned_rig_is_not_corrected() -> None:
     loop = AutoCorrection(RIG)
     assert not any(run(loop, np.radians([0.02, 0.05, -0.02]), 60))
     assert loop.rig is RIG
@@ -84,8 +84,8 @@ def test_nothing_is_done_without_need() -> None:
     np.testing.assert_array_equal(loop.correction.rotation_deg, 0)
 
 
-def test_noise_is_not_chased() -> None:
-    """After one correction, hundreds of pairs later, it is still that one."""
+def test_noise_causes_no_corrections() -> None:
+    """The correction is the same hundreds of pairs later."""
     w, loop = np.radians([0.3, 0, 0.2]), AutoCorrection(RIG)
     run(loop, w, 20)
     steps = loop.correction.steps
@@ -93,41 +93,41 @@ def test_noise_is_not_chased() -> None:
     assert loop.correction.steps == steps
 
 
-def test_pairs_on_their_way_are_not_counted_twice() -> None:
-    """They come after a correction and do not have it yet: taken for new, they would correct once more."""
+def test_pairs_in_transit_are_not_counted_twice() -> None:
+    """They arrive after a correction without it: counted as new, they would cause another correction."""
     w, loop = np.radians([0.3, 0, 0]), AutoCorrection(RIG)
     run(loop, w, 12)
     assert loop.correction.steps == 1
     assert loop.correction.rotation_deg[0] == pytest.approx(0.3, abs=0.02)
 
 
-def test_a_second_blow_is_corrected_as_well() -> None:
+def test_a_second_misalignment_is_corrected_too() -> None:
     loop = AutoCorrection(RIG)
     run(loop, np.radians([0.3, 0, 0]), 30)
     run(loop, np.radians([0.3, 0, -0.4]), 60, seed=100)
     np.testing.assert_allclose(loop.correction.rotation_deg[[0, 2]], [0.3, -0.4], atol=0.03)
 
 
-def test_what_is_too_large_is_refused_and_nothing_changes() -> None:
+def test_a_correction_beyond_the_limit_is_refused() -> None:
     loop = AutoCorrection(RIG, CorrectionLimits(rotation_deg=0.25))
     assert not any(run(loop, np.radians([0.3, 0, 0]), 20))
     assert loop.rig is RIG
-    assert "turned by 0." in loop.refusal
-    assert "corrected are up to 0.25" in loop.refusal
+    assert "rotated by 0." in loop.refusal
+    assert "limit of a correction 0.25" in loop.refusal
 
 
-def test_the_limit_is_of_all_corrections_together() -> None:
+def test_the_limit_applies_to_the_total_correction() -> None:
     loop = AutoCorrection(RIG, CorrectionLimits(rotation_deg=0.5))
     run(loop, np.radians([0.3, 0, 0]), 30)
     kept = loop.rig
     run(loop, np.radians([0.7, 0, 0]), 40, seed=100)
     assert loop.rig is kept
-    assert "the corrections together come to 0.7" in loop.refusal
+    assert "the total correction would be 0.7" in loop.refusal
     run(loop, np.radians([0.3, 0, 0]), 40, seed=200)
     assert loop.refusal == ""
 
 
-def test_p_stays() -> None:
+def test_p_does_not_change() -> None:
     loop = AutoCorrection(RIG)
     run(loop, np.radians([0.3, 0.2, 0.1]), 20)
     np.testing.assert_array_equal(loop.rig.right.P, RIG.right.P)

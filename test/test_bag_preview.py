@@ -48,5 +48,5 @@ def test_bag_without_outputs_is_refused(tmp_path: Path) -> None:
     types = RosbagsTypes()
     with BagWriter(tmp_path / "in.mcap") as bag:
         bag.write("/left/image_rect_color", image_message(types, np.zeros((4, 6), np.uint8), "mono8", 1, "l"), 1)
-    with pytest.raises(BagError, match=r"in\.mcap has no /left/image_rect_color with a /disparity of the same stamp"):
+    with pytest.raises(BagError, match=r"in\.mcap: no /left/image_rect_color with a /disparity of the same stamp"):
         save_bag_preview(tmp_path / "in.mcap", tmp_path / "p.png")

@@ -81,7 +81,7 @@ def test_chunks_have_the_requested_compression_and_rosbags_reads_them(
 def test_an_existing_bag_is_replaced_only_on_request(tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     path.write_bytes(b"old")
-    with pytest.raises(BagError, match=r"out\.mcap exists: remove it"):
+    with pytest.raises(BagError, match=r"out\.mcap: already exists: remove it"):
         BagWriter(path)
     with BagWriter(path, overwrite=True) as bag:
         bag.write("/image", make_image(1), 1)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark of the matchers computes what it prints, and the accuracy that sgm must have beside OpenCV holds."""
+"""The benchmark of the matchers computes its tables correctly, and sgm has the required accuracy relative to OpenCV."""
 
 from __future__ import annotations
 
@@ -46,10 +46,9 @@ def test_requirements_are_ratios_of_means(benchmark: ModuleType) -> None:
     assert held_out["misses"] == "bad_2 ratio, density points, dense bad_2_all ratio"
 
 
-def test_fixed_point_becomes_pixels(benchmark: ModuleType) -> None:
-    disparity_x16 = np.array(
-        [[-80, -64, -63, 0, 24]], np.int16
-    )  # -80 is what OpenCV gives for none where -4 is the least
+def test_disparity_x16_becomes_pixels(benchmark: ModuleType) -> None:
+    # OpenCV marks invalid pixels by -80 if the minimum disparity is -4
+    disparity_x16 = np.array([[-80, -64, -63, 0, 24]], np.int16)
     found = benchmark.disparities(lambda left, right: disparity_x16, None, None, MatchingConfig(min_disparity=-4))
     np.testing.assert_array_equal(found, np.array([[np.nan, -4, -63 / 16, 0, 1.5]], np.float32))
 
@@ -63,7 +62,7 @@ def test_timed_calls_alternate_after_warming_up(benchmark: ModuleType) -> None:
 
 
 @pytest.mark.real_data
-def test_sgm_beside_sgbm(benchmark: ModuleType, stereo_data: Path) -> None:
+def test_sgm_compared_with_sgbm(benchmark: ModuleType, stereo_data: Path) -> None:
     scenes = benchmark.load_scenes(stereo_data, [])
     assert len(scenes) == 12
     everything = benchmark.requirements(benchmark.accuracy(scenes, rounds=1))[0]

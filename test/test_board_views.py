@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How boards lie in images, what views cover, which are new, and what is said where there are none."""
+"""Placement of boards in images, coverage by views, new views, and errors where no view is found."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def test_placement() -> None:
     assert place.skew == pytest.approx(0, abs=1e-6)
 
 
-def test_skew_is_the_angle_from_a_right_one() -> None:
+def test_skew_is_the_difference_from_a_right_angle() -> None:
     place = placement(lying(100, 120, 50, shear=np.tan(np.radians(12))), SIZE)
     assert place.skew == pytest.approx(2 * np.radians(12), rel=1e-6)
 
 
-def test_coverage_says_what_is_missing() -> None:
+def test_coverage_states_what_is_missing() -> None:
     assert Coverage.of([]).missing == ("show the board to both cameras",)
     middle = Coverage.of([Placement(0.5, 0.5, 0.2, 0.1)])
     assert not middle.complete
@@ -59,7 +59,7 @@ def test_coverage_is_complete() -> None:
     assert Coverage.of([*corners, Placement(0.5, 0.5, 0.5, 0.6)]).complete
 
 
-def test_only_the_end_that_is_missing_is_named() -> None:
+def test_only_the_missing_end_is_named() -> None:
     places = [Placement(0.0, y, 0.5, 0.6) for y in (0.0, 1.0)]
     assert Coverage.of(places).missing == ("move the board to the right edge",)
 
@@ -79,7 +79,7 @@ def test_views_have_to_be_new() -> None:
 
 @dataclass
 class Shown:
-    """Pairs of images whose first pixel says what is seen in them: the x of a board, or nothing where it is 0."""
+    """Pairs of images whose first pixel encodes their content: the x of a board, or no board where it is 0."""
 
     pairs: list[tuple[int, int]]
     dense: bool = False
@@ -97,7 +97,7 @@ class Shown:
 
 @dataclass
 class Shown5x4:
-    """Finds in such images what they say, if it is the board that they show."""
+    """Detects the board that such images encode, if its size is 5x4."""
 
     size: tuple[int, int] = (5, 4)
     counted: str = "inner corners"
@@ -116,35 +116,35 @@ def other(size: tuple[int, int]) -> Board:
 
 
 def test_views_and_pairs_without() -> None:
-    told = []
+    progress: list[tuple[int, int]] = []
     shown = Shown([(50, 40), (200, 0), (0, 60), (0, 0), (52, 40)])
-    found = find_views(shown, Shown5x4(), other, lambda done, total: told.append((done, total)))
+    found = find_views(shown, Shown5x4(), other, lambda done, total: progress.append((done, total)))
     assert [view.name for view in found.views] == ["0.png", "4.png"]
-    assert (found.left_only, found.right_only, found.nowhere, found.pairs) == (["1.png"], ["2.png"], ["3.png"], 5)
-    assert told[0] == (0, 5)
+    assert (found.left_only, found.right_only, found.not_found, found.pairs) == (["1.png"], ["2.png"], ["3.png"], 5)
+    assert progress[0] == (0, 5)
 
 
-def test_of_a_recording_only_new_views_are_taken() -> None:
+def test_of_a_recording_only_new_views_are_used() -> None:
     found = find_views(Shown([(50, 40), (52, 42), (54, 44), (250, 240)], dense=True), Shown5x4(), other)
     assert [view.name for view in found.views] == ["0.png", "3.png"]
-    assert found.alike == 2
+    assert found.duplicates == 2
 
 
-def test_another_size_that_is_there_is_named() -> None:
+def test_the_detected_size_is_reported() -> None:
     shown = Shown([(50, 50)] * 3)
     with pytest.raises(CalibrationError, match=r"no board of 6x5 inner corners in 3 pairs.*one of 5x4 in 3.*give 5x4"):
         find_views(shown, Shown5x4((6, 5)), other)
     with pytest.raises(CalibrationError, match="give 5x4"):
         find_views(shown, Shown5x4((4, 5)), other)
-    with pytest.raises(CalibrationError, match="check --board, the light"):
+    with pytest.raises(CalibrationError, match="check the kind of board, the light"):
         find_views(Shown([(0, 0)]), Shown5x4(), other)
 
 
-def test_one_eye_does_not_see_it() -> None:
+def test_one_camera_does_not_see_the_board() -> None:
     with pytest.raises(CalibrationError, match=r"right camera sees the board in none of 2 pairs, the left camera in 2"):
         find_views(Shown([(50, 0), (60, 0)]), Shown5x4(), other)
 
 
-def test_pictures_of_two_sizes() -> None:
-    with pytest.raises(CalibrationError, match=r"0\.png \(right\) is 320x200, 0\.png \(left\) is 640x400"):
+def test_images_of_two_sizes() -> None:
+    with pytest.raises(CalibrationError, match=r"0\.png \(right\): image size 320x200, 0\.png \(left\) is 640x400"):
         find_views(Shown([(50, 50)], sizes=(SIZE, (320, 200))), Shown5x4(), other)

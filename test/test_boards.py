@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boards are found in images of known cameras, where they are and in the right order."""
+"""Boards are detected in images of known cameras, at the right positions and in the right order."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ needs_detectors = pytest.mark.skipif(
 
 @dataclass(frozen=True)
 class Sample:
-    """A board, its print, the side of what the print is measured in, and all of its corners."""
+    """A board, its print, the size of a cell of the print, and all of its corners."""
 
     board: Board
     print_: tuple[U8, F64]
@@ -66,7 +66,7 @@ def aprilgrid(border_bits: int = 2, turns: int = 0) -> Sample:
 
 
 def found_and_exact(sample: Sample, rig: KnownRig, pose: F64) -> tuple[Corners, F64, Corners, F64]:
-    """Of both cameras what is found, and where these corners are; fails where the board is not found."""
+    """Detected and exact corners of both cameras; fails where the board is not found."""
     left, right = (
         sample.board.detect(each) for each in photograph(sample.print_, sample.cell_px, sample.cell_m, rig, pose)
     )
@@ -84,7 +84,7 @@ def test_chessboard(rig: KnownRig) -> None:
     sample = chessboard()
     for pose in poses(3, sample.board_m, rig, seed=4):
         left, exact_left, right, exact_right = found_and_exact(sample, rig, pose)
-        # A board may be counted from its other end, in both cameras alike
+        # The board may be counted from its other end, in both cameras
         turned = np.abs(left.image_px - exact_left).max() > 5
         for corners, exact in ((left, exact_left), (right, exact_right)):
             order = slice(None, None, -1 if turned else 1)
@@ -104,7 +104,7 @@ def test_charuco() -> None:
 
 
 @needs_detectors
-def test_charuco_of_which_a_part_is_covered() -> None:
+def test_partly_covered_charuco() -> None:
     sample = charuco()
     pose = poses(1, sample.board_m, PINHOLE, seed=2)[0]
     image, _ = photograph(sample.print_, sample.cell_px, sample.cell_m, PINHOLE, pose)
@@ -119,9 +119,9 @@ def test_charuco_of_which_a_part_is_covered() -> None:
 @needs_detectors
 @pytest.mark.parametrize(("border_bits", "turns"), [(2, 0), (1, 0), (2, 1)])
 def test_aprilgrid(border_bits: int, turns: int) -> None:
-    """With the wide border of Kalibr and the narrow one of others, whichever corner of a tag its maker calls first."""
+    """With Kalibr's wide border and the narrow one of others, whichever corner of a tag is its first."""
     sample = aprilgrid(border_bits, turns)
-    pose = np.array([2.9, 0.1, 0.2, -0.1, 0.12, 0.5])  # the board's y goes up
+    pose = np.array([2.9, 0.1, 0.2, -0.1, 0.12, 0.5])  # the y axis of the board points up
     left, exact_left, right, exact_right = found_and_exact(sample, PINHOLE, pose)
     for corners, exact in ((left, exact_left), (right, exact_right)):
         assert len(corners.ids) == 48
@@ -142,12 +142,12 @@ def test_edges_are_as_wide_as_they_are_blurred() -> None:
     image[:, 150:] = 200
     corners = Corners(np.arange(6), np.zeros((6, 3)), np.column_stack((np.full(6, 149.5), np.arange(6) * 30.0 + 20)))
     widths = [edge_width_px(np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8), corners) for sigma in (2, 3)]
-    # The image is smoothed by 0.7 px, and its slope taken over three pixels, first
+    # The image is smoothed by 0.7 px, and its slope is computed over three pixels
     assert widths[0] == pytest.approx(np.sqrt(2 * np.pi * (4 + 1.2)), rel=0.1)
     assert widths[1] / widths[0] == pytest.approx(1.45, rel=0.1)
 
 
-def test_chessboards_are_counted_alike_in_both_eyes() -> None:
+def test_chessboards_are_counted_equally_in_both_cameras() -> None:
     board = create_board("chessboard", (5, 4), 0.03)
     board_m = chessboard_points(5, 4)
     left = Corners(np.arange(20), board_m, board_m[:, :2] * 900 + [100, 80])
@@ -156,7 +156,7 @@ def test_chessboards_are_counted_alike_in_both_eyes() -> None:
         np.testing.assert_allclose(board.align(left, right).image_px, left.image_px - [30, 2])
 
 
-def test_square_chessboards_are_counted_alike_when_turned_by_a_quarter() -> None:
+def test_square_chessboards_are_counted_equally_when_rotated_by_90_degrees() -> None:
     board = create_board("chessboard", (4, 4), 0.03)
     board_m = chessboard_points(4, 4)
     left = Corners(np.arange(16), board_m, board_m[:, :2] * 900 + [100, 80])
@@ -165,7 +165,7 @@ def test_square_chessboards_are_counted_alike_when_turned_by_a_quarter() -> None
     np.testing.assert_allclose(board.align(left, right).image_px, left.image_px - [30, 2])
 
 
-def test_boards_that_cannot_be() -> None:
+def test_invalid_boards() -> None:
     with pytest.raises(ConfigError, match=r"'circles' is none of chessboard, charuco, aprilgrid"):
         create_board("circles", (9, 6), 0.025)
     with pytest.raises(ConfigError, match=r"size 9x2 is below 3x3: count the inner corners"):
@@ -175,12 +175,12 @@ def test_boards_that_cannot_be() -> None:
 
 
 @needs_detectors
-def test_marker_boards_that_cannot_be() -> None:
+def test_invalid_marker_boards() -> None:
     with pytest.raises(ConfigError, match=r"marker 0\.05 m is not within 0\.\.0\.03 m"):
         create_board("charuco", (7, 5), 0.03, marker_m=0.05)
     with pytest.raises(ConfigError, match=r"'DICT_9X9' is none of .*DICT_4X4_50"):
         create_board("charuco", (7, 5), 0.03, dictionary="DICT_9X9")
-    with pytest.raises(ConfigError, match=r"DICT_4X4_50 has 50 markers, a board of 12x10 squares has 60"):
+    with pytest.raises(ConfigError, match=r"DICT_4X4_50 has 50 markers, 12x10 squares have 60: use the dictionary"):
         create_board("charuco", (12, 10), 0.03)
     with pytest.raises(ConfigError, match=r"spacing 3 is outside 0\.\.2"):
         create_board("aprilgrid", (6, 6), 0.08, spacing=3)
@@ -190,5 +190,5 @@ def test_marker_boards_that_cannot_be() -> None:
 
 def test_without_detectors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(cv2, "aruco", raising=False)
-    with pytest.raises(ConfigError, match=r"no marker detectors, they came with 4\.7: install"):
+    with pytest.raises(ConfigError, match=r"no marker detectors, which were added in 4\.7: install"):
         create_board("aprilgrid", (6, 6), 0.08)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rectification of calibrated cameras: rows of points that are known, what the images show, OpenCV, real pairs."""
+"""Rectification of calibrated cameras: rows of known points, field of view, OpenCV, real pairs."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ def test_rotations_are_the_textbook_s() -> None:
     np.testing.assert_allclose(R_left @ T / np.linalg.norm(T), [1, 0, 0], atol=1e-15)
     np.testing.assert_allclose(R_left @ R_left.T, np.identity(3), atol=1e-15)
     np.testing.assert_allclose(R_right, R_left @ POSE.R.T)
-    assert abs(R_left[1] @ [0, 0, 1]) < 1e-15  # the new y axis is at right angles to the old optical axis
+    assert abs(R_left[1] @ [0, 0, 1]) < 1e-15  # the new y axis is orthogonal to the old optical axis
 
 
-def test_it_is_opencv_s_up_to_a_turn_about_the_baseline() -> None:
-    """Of that, nothing can be seen in the rows."""
+def test_it_is_opencv_s_up_to_a_rotation_about_the_baseline() -> None:
+    """Such a rotation does not affect row alignment."""
     ours, theirs = (rectify_calibrated(*cameras("plumb_bob"), POSE, method=method) for method in METHODS)
     between = ours.left.R @ theirs.left.R.T
     np.testing.assert_allclose(between[0], [1, 0, 0], atol=1e-9)
@@ -100,13 +100,13 @@ def test_alpha_0_shows_valid_pixels_only(model: str, zero_disparity: bool) -> No
     assert rectifier.left_source.all()
     assert rectifier.right_source.all()
     assert common_area(rig) == Area(0, 0, *SIZE)
-    if model == "plumb_bob":  # it is not simply small: in one direction the image is used up
+    if model == "plumb_bob":  # the field of view is maximal: one direction reaches the border
         larger = Rectifier(replace_focal(rig, 0.98))
         assert not (larger.left_source.all() and larger.right_source.all())
 
 
 def replace_focal(rig: StereoRig, factor: float) -> StereoRig:
-    """The rig that shows a little more."""
+    """The rig with a slightly larger field of view."""
     factors = np.array([[factor, 1, 1, factor], [1, factor, 1, 1], [1, 1, 1, 1]])
     left, right = (replace(side, P=side.P * factors) for side in (rig.left, rig.right))
     return StereoRig(left, right)
@@ -139,7 +139,7 @@ def test_alpha_is_between() -> None:
 
 
 def test_field_of_view_of_a_fisheye_is_limited() -> None:
-    """With all of it in the image the edges are seen at half of the limit."""
+    """With alpha 1 the edges are at half of the limit."""
     sides = cameras("equidistant")
     narrow, wide = (rectify_calibrated(*sides, POSE, alpha=1, max_fov_deg=degrees) for degrees in (90, 140))
     assert narrow.f_px > 1.5 * wide.f_px
@@ -147,8 +147,8 @@ def test_field_of_view_of_a_fisheye_is_limited() -> None:
     assert corner_deg >= 45
 
 
-def test_without_zero_disparity_verged_eyes_have_more_in_common() -> None:
-    """Cameras turned towards each other by 14 degrees."""
+def test_without_zero_disparity_converging_cameras_have_more_in_common() -> None:
+    """Cameras rotated towards each other by 14 degrees."""
     pose = RelativePose(cv2.Rodrigues(np.array([0.0, 0.25, 0.0]))[0], POSE.t)
     same, own = (rectify_calibrated(*cameras("plumb_bob"), pose, zero_disparity=zero) for zero in (True, False))
     assert same.doffs_px == 0
@@ -166,7 +166,7 @@ def test_common_area_is_valid_in_both() -> None:
     assert not both.all()
 
 
-def test_rays_come_back_to_their_pixels() -> None:
+def test_rays_project_to_their_pixels() -> None:
     for side in (*cameras("plumb_bob"), *cameras("equidistant")):
         pixels = np.random.default_rng(0).uniform((0, 0), SIZE, (50, 2))
         rays = camera_rays(pixels, side)
@@ -182,17 +182,17 @@ def test_rays_come_back_to_their_pixels() -> None:
     ("t", "text"),
     [
         ([0.3, 0.02, 0.0], "left and right are swapped"),
-        ([-0.1, 0.02, 0.4], "its epipole is in the image or near to it"),
+        ([-0.1, 0.02, 0.4], "an epipole is in or near an image"),
         ([-0.1, 0.4, 0.02], "above or below: rotate the images by 90 degrees"),
     ],
 )
-def test_baselines_that_no_turn_makes_horizontal(t: list[float], text: str) -> None:
+def test_baselines_that_no_rotation_makes_horizontal(t: list[float], text: str) -> None:
     for method in METHODS:
         with pytest.raises(CalibrationError, match=rf"limit 45.*{text}"):
             rectify_calibrated(*cameras("plumb_bob"), RelativePose(np.identity(3), np.array(t)), method=method)
 
 
-def test_what_cannot_be() -> None:
+def test_invalid_arguments() -> None:
     sides = cameras("plumb_bob")
     with pytest.raises(ConfigError, match="'bouguet' is none of textbook, opencv"):
         rectify_calibrated(*sides, POSE, method="bouguet")
@@ -200,14 +200,14 @@ def test_what_cannot_be() -> None:
         rectify_calibrated(*sides, POSE, alpha=1.5)
     with pytest.raises(ConfigError, match=r"max_fov_deg = 180 is outside 10\.\.170"):
         rectify_calibrated(*sides, POSE, max_fov_deg=180)
-    with pytest.raises(CalibrationError, match="known up to scale, P takes meters"):
+    with pytest.raises(CalibrationError, match="known up to scale, P needs meters"):
         rectify_calibrated(*sides, RelativePose(POSE.R, POSE.t, up_to_scale=True))
     with pytest.raises(CalibrationError, match=r"baseline 310\.\d+ m is outside"):
         rectify_calibrated(*sides, RelativePose(POSE.R, 990 * POSE.t))
     aside = RelativePose(
         cv2.Rodrigues(np.array([0, 1.3, 0.0]))[0], cv2.Rodrigues(np.array([0, 1.3, 0.0]))[0] @ [-0.3, 0, 0]
     )
-    with pytest.raises(CalibrationError, match="nothing in common: the cameras look past each other"):
+    with pytest.raises(CalibrationError, match="no field of view in common: check R of the pose"):
         rectify_calibrated(*sides, aside)
 
 

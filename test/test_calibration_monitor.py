@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The health node in a live graph: what it tells of good and of turned cameras, and that its corrections help."""
+"""The calibration monitor in a live graph: good and turned cameras, corrections and their effect."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class TurnedCamera:
         self.camera = StereoCamera(frames=2, width=480, height=360)
         self.rig = self.camera.rig
         R, w = self.rig.right.R, np.radians(w_deg)
-        turn = R.T @ cv2.Rodrigues(w)[0] @ R  # the raw camera's, of a turn of the rectified one
+        turn = R.T @ cv2.Rodrigues(w)[0] @ R  # of the raw camera, for a rotation of the rectified one
         self._raw = [(f.pair.left, self._turned(f.pair.right, turn)) for f in self.camera.frames]
         self.sent = 0
 
@@ -56,7 +56,7 @@ class TurnedCamera:
         return replace(frame, pixels=np.asarray(cv2.remap(straight, at, None, cv2.INTER_CUBIC), np.uint8))
 
     def rectified(self, rig: StereoRig) -> tuple[U8, U8]:
-        """The next pair as a node would rectify it that has been given this rig."""
+        """The next pair as a node with this rig rectifies it."""
         left, right = self._raw[self.sent % len(self._raw)]
         pair = Rectifier(rig).rectify(StereoPair(left, right))
         return pair.left, pair.right
@@ -83,7 +83,7 @@ def pitched() -> TurnedCamera:
 
 
 def send(graph: Graph, camera: TurnedCamera, pairs: int, rig: StereoRig | None = None) -> list[dict[str, float]]:
-    """Sends pairs one by one; the figures that come back."""
+    """Sends pairs one by one; the figures received."""
     received = graph.listen("health/row_error", Float64MultiArray)
     for number in range(pairs):
         graph.send(camera.messages(rig or camera.rig))
@@ -97,7 +97,7 @@ def test_good_rows(straight: TurnedCamera) -> None:
         figures = send(graph, straight, 4)
         assert figures[0]["row_median_px"] < 0.3
         assert figures[0]["matches"] > 60
-        assert math.isnan(figures[0]["pitch_deg"])  # of three pairs something is said
+        assert math.isnan(figures[0]["pitch_deg"])  # estimated from the third pair on
         assert abs(figures[-1]["pitch_deg"]) < 0.05
         assert figures[-1]["pitch_sigma_deg"] > 0
         status = graph.status()
@@ -108,7 +108,7 @@ def test_good_rows(straight: TurnedCamera) -> None:
         assert not graph.errors(".")
 
 
-def test_a_turned_camera_is_told(pitched: TurnedCamera) -> None:
+def test_a_turned_camera_is_reported(pitched: TurnedCamera) -> None:
     with Graph(CalibrationMonitor, parameters=EVERY) as graph:
         figures = send(graph, pitched, 4)
         assert figures[-1]["pitch_deg"] == pytest.approx(0.5, abs=0.03)
@@ -121,24 +121,24 @@ def test_a_turned_camera_is_told(pitched: TurnedCamera) -> None:
         assert graph.publishers("right/camera_info_corrected") == []
 
 
-def test_it_watches_without_listeners(straight: TurnedCamera) -> None:
+def test_it_monitors_without_subscribers(straight: TurnedCamera) -> None:
     with Graph(CalibrationMonitor, parameters=EVERY) as graph:
         graph.send(straight.messages(straight.rig))
         graph.wait(lambda: graph.counter("paired") == 1, "a pair")
 
 
-def test_pairs_are_looked_at_as_often_as_asked(straight: TurnedCamera) -> None:
+def test_pairs_are_examined_at_the_given_rate(straight: TurnedCamera) -> None:
     """Pairs are 0.1 s apart: of three, the first and the last are 0.2 s apart."""
     with Graph(CalibrationMonitor, parameters={"health_rate": 5.0}) as graph:
         received = graph.listen("health/row_error", Float64MultiArray)
         for number in range(3):
             graph.send(straight.messages(straight.rig))
             graph.wait(lambda count=number: graph.counter("paired") == count + 1, f"pair {number}")
-        graph.wait(lambda: len(received) == 2, "two looks")
+        graph.wait(lambda: len(received) == 2, "two pairs")
 
 
-def test_corrections_bring_the_rows_together(pitched: TurnedCamera) -> None:
-    """What is published is rectified with, pair after pair, and is told in the log and to late subscribers."""
+def test_corrections_align_the_rows(pitched: TurnedCamera) -> None:
+    """The published camera info rectifies the next pair; the log and late subscribers receive the correction."""
     with Graph(CalibrationMonitor, parameters={**EVERY, "auto_correct": True}) as graph:
         infos = graph.listen("right/camera_info_corrected", CameraInfo)
         rig = pitched.rig
@@ -147,8 +147,8 @@ def test_corrections_bring_the_rows_together(pitched: TurnedCamera) -> None:
             graph.send(sent)
             graph.wait(lambda count=number: len(infos) == count + 1, f"corrected camera info {number}")
             rig = replace(rig, right=camera_from_info(infos[-1], "right"))
-        words = "right camera corrected by pitch +0."
-        graph.wait(lambda: any(words in log.msg for log in graph.logs), "word in the log")
+        text = "right camera corrected by pitch +0."
+        graph.wait(lambda: any(text in log.msg for log in graph.logs), "correction in the log")
         np.testing.assert_array_equal(infos[0].k, pitched.rig.right.K.ravel())
         np.testing.assert_array_equal(infos[-1].p, pitched.rig.right.P.ravel())
         assert infos[-1].header.stamp == sent["right/camera_info"].header.stamp
@@ -177,17 +177,17 @@ def of_sensor(info: CameraInfo) -> CameraInfo:
 
 
 def test_corrections_are_of_the_sensor(pitched: TurnedCamera) -> None:
-    """Who takes region and binning into account gets the corrected camera; R and K change, and nothing else."""
+    """With region and binning it is the corrected camera; R and K change, and nothing else."""
     with Graph(CalibrationMonitor, parameters={**EVERY, "auto_correct": True}) as graph:
         infos = graph.listen("right/camera_info_corrected", CameraInfo)
-        looks = graph.listen("health/row_error", Float64MultiArray)
+        figures = graph.listen("health/row_error", Float64MultiArray)
         corrections = graph.listen("health/correction", DiagnosticArray)
         rig = pitched.rig
         for number in range(14):
             sent = pitched.messages(rig)
             info = of_sensor(sent["right/camera_info"])
             graph.send(sent)
-            graph.wait(lambda count=number: len(infos) == len(looks) == count + 1, f"camera info and look {number}")
+            graph.wait(lambda count=number: len(infos) == len(figures) == count + 1, f"messages of pair {number}")
             if number + 1 < MIN_FRAMES:
                 assert infos[-1] == info
             np.testing.assert_allclose(infos[-1].k, info.k, rtol=0.01)
@@ -199,7 +199,7 @@ def test_corrections_are_of_the_sensor(pitched: TurnedCamera) -> None:
         calibrated, corrected = pitched.rig.right, camera_from_info(infos[-1])
         turn = cv2.Rodrigues(np.radians([float(values[f"{axis}_deg"]) for axis in ("pitch", "yaw", "roll")]))[0]
         growth = np.array([[1 + float(values["scale"])], [1 + float(values["scale"])], [1]])
-        # As many digits as are told
+        # The digits of the message
         np.testing.assert_allclose(corrected.R, turn.T @ calibrated.R, atol=3e-7)
         np.testing.assert_allclose(
             corrected.K, np.where(np.identity(3), growth * calibrated.K, calibrated.K), atol=5e-4
@@ -209,15 +209,48 @@ def test_corrections_are_of_the_sensor(pitched: TurnedCamera) -> None:
         assert infos[-1] == info
 
 
+def calibrated_again(info: CameraInfo) -> CameraInfo:
+    """A calibration of the same camera with another focal length and rotation."""
+    info.k = info.k * np.array([1.01, 1, 1, 1, 1.01, 1, 1, 1, 1])
+    info.r = (cv2.Rodrigues(np.array([0.0, 0.01, 0.0]))[0] @ info.r.reshape(3, 3)).ravel()
+    return info
+
+
+def shifted_roi(info: CameraInfo) -> CameraInfo:
+    """A region of the same size on a larger sensor."""
+    info.roi.width, info.roi.height, info.roi.x_offset = info.width, info.height, 8
+    info.width += 16
+    return info
+
+
+def test_a_correction_ends_with_its_camera(pitched: TurnedCamera) -> None:
+    """The camera info of another calibration, region or binning is published unchanged, before any pair of it."""
+    with Graph(CalibrationMonitor, parameters={**EVERY, "auto_correct": True}) as graph:
+        infos = graph.listen("right/camera_info_corrected", CameraInfo)
+        for change in (calibrated_again, shifted_roi, of_sensor):
+            infos.clear()
+            for number in range(MIN_FRAMES + 1):
+                sent = pitched.messages(pitched.rig)
+                graph.send(sent)
+                graph.wait(lambda count=number: len(infos) == count + 1, f"corrected camera info {number}")
+            graph.send({"right/camera_info": sent["right/camera_info"]})
+            graph.wait(lambda: len(infos) == MIN_FRAMES + 2, "camera info after a correction")
+            assert infos[-1] != sent["right/camera_info"], "corrected"
+            other = change(pitched.messages(pitched.rig)["right/camera_info"])
+            graph.send({"right/camera_info": other})
+            graph.wait(lambda: len(infos) == MIN_FRAMES + 3, "camera info of another camera")
+            assert infos[-1] == other, change.__name__
+
+
 def applied(corrections: list[DiagnosticArray]) -> dict[str, str]:
     """The figures of the newest correction."""
     return {item.key: item.value for item in corrections[-1].status[0].values}
 
 
-def test_corrections_that_nobody_takes_are_told(pitched: TurnedCamera) -> None:
+def test_corrections_without_a_subscriber_are_reported(pitched: TurnedCamera) -> None:
     with Graph(CalibrationMonitor, parameters={**EVERY, "auto_correct": True}) as graph:
         send(graph, pitched, 1)
-        assert "nobody subscribes to /right/camera_info_corrected: remap" in graph.status().message
+        assert "/right/camera_info_corrected has no subscriber: remap" in graph.status().message
 
 
 def test_corrections_have_a_limit(pitched: TurnedCamera) -> None:
@@ -226,16 +259,16 @@ def test_corrections_have_a_limit(pitched: TurnedCamera) -> None:
         send(graph, pitched, 7)
         graph.wait(lambda: len(infos) == 7, "camera infos")
         np.testing.assert_array_equal(infos[-1].r, pitched.rig.right.R.ravel())
-        assert "not corrected: the right camera has turned by 0.5" in graph.status().message
+        assert "not corrected: the right camera has rotated by 0.5" in graph.status().message
 
 
-def test_pictures_without_features(straight: TurnedCamera) -> None:
+def test_images_without_features(straight: TurnedCamera) -> None:
     with Graph(CalibrationMonitor, parameters=EVERY) as graph:
         messages = straight.messages(straight.rig)
         for side in ("left", "right"):
             messages[f"{side}/image_rect"].data = bytes(len(messages[f"{side}/image_rect"].data))
         graph.send(messages)
-        graph.wait(lambda: graph.counter("pairs with too few features") == 1, "a pair that shows nothing")
+        graph.wait(lambda: graph.counter("pairs with too few features") == 1, "a pair without features")
         assert graph.status().level == DiagnosticStatus.OK
 
 

@@ -49,19 +49,19 @@ def facts(graph: Graph) -> dict[str, str]:
 
 
 def show(graph: Graph, pairs: list[tuple[U8, U8]]) -> None:
-    """Each pair once the one before was looked at."""
+    """Sends each pair once the one before was examined."""
     for pair in pairs:
-        wait_for_look(graph, pair, looks(graph) + 1)
+        wait_until_examined(graph, pair, examined(graph) + 1)
 
 
-def wait_for_look(graph: Graph, pair: tuple[U8, U8], count: int) -> None:
+def wait_until_examined(graph: Graph, pair: tuple[U8, U8], count: int) -> None:
     graph.send(messages(pair, count))
-    graph.wait(lambda: looks(graph) == count, f"look number {count}")
+    graph.wait(lambda: examined(graph) == count, f"pair number {count}")
 
 
-def looks(graph: Graph) -> int:
-    """Pairs looked at so far."""
-    return len(graph.nodes[0].diagnostics._timings_ms.get("look for the board", ()))
+def examined(graph: Graph) -> int:
+    """Pairs examined so far."""
+    return len(graph.nodes[0].diagnostics._timings_ms.get("detect the board", ()))
 
 
 def trigger(graph: Graph, name: str) -> tuple[bool, str]:
@@ -69,14 +69,14 @@ def trigger(graph: Graph, name: str) -> tuple[bool, str]:
     return answer.success, answer.message
 
 
-def test_from_pictures_to_files_and_drivers(photographs: list[tuple[U8, U8]], tmp_path: Path) -> None:
+def test_from_images_to_files_and_drivers(photographs: list[tuple[U8, U8]], tmp_path: Path) -> None:
     with Graph(CalibrationNode, parameters={**PARAMETERS, "calibration_folder": str(tmp_path / "out")}) as graph:
         images = graph.listen("calibration/image", Image)
         show(graph, photographs[:3])
-        told = facts(graph)
-        assert told["views"] == "3"
-        assert "show 17 more views of 20" in told["missing"]
-        assert float(told["coverage size"]) > 0
+        reported = facts(graph)
+        assert reported["views"] == "3"
+        assert "show 17 more views of 20" in reported["missing"]
+        assert float(reported["coverage size"]) > 0
         assert trigger(graph, "save") == (False, "there is no calibration yet: call ~/calibrate first")
         success, text = trigger(graph, "calibrate")
         assert not success
@@ -86,7 +86,7 @@ def test_from_pictures_to_files_and_drivers(photographs: list[tuple[U8, U8]], tm
         assert (images[-1].encoding, images[-1].width) == ("bgr8", SIZE[0])
         success, text = trigger(graph, "calibrate")
         assert success, text
-        assert "baseline 11" in text and "to do better" in text
+        assert "baseline 11" in text and "to improve" in text
         success, text = trigger(graph, "save")
         assert success and str(tmp_path / "out") in text
         rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
@@ -137,10 +137,10 @@ def commit(graph: Graph, refusing: str = "") -> dict[str, Any]:
         success, text = trigger(graph, "commit")
         if refusing:
             assert not success
-            assert f"/{refusing}/set_camera_info refused: read-only" in text
+            assert f"/{refusing}/set_camera_info: refused, read-only" in text
             assert ("left driver has its new camera info already" in text) == (refusing == "right")
         else:
-            assert (success, text) == (True, "both drivers have taken their camera infos")
+            assert (success, text) == (True, "both drivers have accepted their camera infos")
     finally:
         done.set()
         thread.join()
@@ -156,7 +156,7 @@ def test_commit_without_drivers(photographs: list[tuple[U8, U8]], monkeypatch: p
         assert trigger(graph, "calibrate")[0]
         success, text = trigger(graph, "commit")
         assert not success
-        assert "no service /left/set_camera_info within 0.3 s: start the camera driver" in text
+        assert "/left/set_camera_info: no service within 0.3 s, nothing was committed: start the camera driver" in text
 
 
 def test_nothing_is_committed_unless_both_drivers_are_there(
@@ -175,7 +175,7 @@ def test_nothing_is_committed_unless_both_drivers_are_there(
         rclpy.spin_once(driver, timeout_sec=0.2)
         driver.destroy_node()
         assert not success
-        assert "no service /right/set_camera_info within 0.5 s" in text and "nothing was committed" in text
+        assert "/right/set_camera_info: no service within 0.5 s" in text and "nothing was committed" in text
         assert not taken
 
 
@@ -204,15 +204,15 @@ def test_a_folder_that_cannot_be_written(photographs: list[tuple[U8, U8]], tmp_p
         assert trigger(graph, "calibrate")[0]
         success, text = trigger(graph, "save")
         assert not success
-        assert "cannot write" in text and "take a folder that can be written" in text
+        assert "cannot be written" in text and "choose a writable folder" in text
 
 
-def test_what_is_wrong_with_pictures_is_told(photographs: list[tuple[U8, U8]]) -> None:
+def test_faults_of_images_are_reported(photographs: list[tuple[U8, U8]]) -> None:
     with Graph(CalibrationNode, parameters=PARAMETERS) as graph:
         left, right = photographs[0]
         show(graph, [(left, right)])
         graph.send(messages((left, right[:-4]), 9))
-        graph.wait_error(r"the right image is 400x296, those before were 400x300")
+        graph.wait_error(r"right image: 400x296, previous images 400x300")
         show_nothing = np.full_like(left, 70)
         graph.send(messages((show_nothing, show_nothing), 10))
         graph.wait(lambda: facts(graph)["newest pair"].startswith("no board is seen"), "word of an empty image")

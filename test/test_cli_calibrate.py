@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth calibrate`: files, figures, what is left out, wrong input."""
+"""`stereo-depth calibrate`: files, figures, dropped views, wrong input."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture(scope="module")
 def photographs() -> list[tuple[U8, U8]]:
-    """Eight views by both cameras, and one of nothing."""
+    """Eight views of the board by both cameras, and one without the board."""
     pairs = list(chessboard_photographs())
     return [*pairs, (np.full_like(pairs[0][0], 90), np.full_like(pairs[0][1], 90))]
 
@@ -70,7 +70,7 @@ def check_files(output: Path) -> None:
     assert image is not None and image.shape[1] > 1000
 
 
-def test_pictures_of_a_folder(run: Run, tmp_path: Path, folder: Path) -> None:
+def test_images_of_a_folder(run: Run, tmp_path: Path, folder: Path) -> None:
     code, out, err = run(folder, *BOARD, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
     assert code == 0, err
     check_files(tmp_path / "out")
@@ -85,7 +85,7 @@ def test_pictures_of_a_folder(run: Run, tmp_path: Path, folder: Path) -> None:
 
 
 def test_bag(run: Run, tmp_path: Path, photographs: list[tuple[U8, U8]]) -> None:
-    """Every view comes three times, as of a recording."""
+    """Every view is recorded three times."""
     types = RosbagsTypes()
     with BagWriter(tmp_path / "board.mcap") as bag:
         for number, pair in enumerate(photographs):
@@ -109,7 +109,7 @@ def test_bag(run: Run, tmp_path: Path, photographs: list[tuple[U8, U8]]) -> None
         (("--model", "fisheye"), "'fisheye' is none of plumb_bob"),
         (("--square", "25"), "25 mm are 0.025"),
         (("--size", "8x6"), "but one of 7x5 in"),
-        (("--json", "nowhere/r.json"), "there is no folder"),
+        (("--json", "nowhere/r.json"), "folder nowhere does not exist"),
     ],
 )
 def test_wrong_input(run: Run, tmp_path: Path, folder: Path, arguments: tuple[str, ...], text: str) -> None:
@@ -129,17 +129,17 @@ def test_too_few_views(run: Run, tmp_path: Path, folder: Path) -> None:
     assert code == 1
     text = " ".join(err.split())
     assert "3 views of the board, at least 5 are needed" in text
-    assert "no board in 1 of 4 pairs: 8.png" in text
+    assert "(4 pairs examined; no board in 1 of 4 pairs: 8.png)" in text
 
 
 def test_output_that_is_a_file(run: Run, tmp_path: Path, folder: Path) -> None:
     (tmp_path / "file").write_text("")
     code, _, err = run(folder, *BOARD, "-o", tmp_path / "file")
     assert code == 1
-    assert "it is no folder, name another with -o" in " ".join(err.split())
+    assert "file: is not a folder: name a folder (--output)" in " ".join(err.split())
 
 
-def test_nothing_there(run: Run, tmp_path: Path) -> None:
+def test_missing_input(run: Run, tmp_path: Path) -> None:
     code, _, err = run(tmp_path / "none", *BOARD, "-o", tmp_path / "out")
     assert code == 1
     assert "does not exist: name a folder of images, or a bag" in " ".join(err.split())

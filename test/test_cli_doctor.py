@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth doctor` on bags: what it prints and writes, and its exit codes."""
+"""`stereo-depth doctor` on bags: output, JSON, exit codes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def variant(path: Path, change: Callable[[str, Any], tuple[str, Any] | None], frames: int = 2) -> Path:
-    """The first frames of the sample bag; each topic and message changed, or left out where None is returned."""
+    """The first frames of the sample bag; each topic and message changed, or dropped where None is returned."""
     with BagReader(SAMPLE) as reader, BagWriter(path, compression="lz4", chunk_size=100_000) as writer:
         end_ns = reader.start_ns + round((frames - 0.5) * 1e8)
         for message in reader.messages(end_ns=end_ns):
@@ -68,7 +68,7 @@ def test_the_sample_bag_is_healthy_in_table_and_json(run: Run, tmp_path: Path) -
     code, out, err = run(SAMPLE, "--json", report)
     assert (code, err) == (0, "")
     values = json.loads(report.read_text())
-    assert (values["level"], values["healthy"], values["pairs_looked_at"]) == ("ok", True, 6)
+    assert (values["level"], values["healthy"], values["pairs_examined"]) == ("ok", True, 6)
     assert values["topics"]["right"] == {"image": "/right/image_raw", "camera_info": "/right/camera_info"}
     assert {finding["level"] for finding in values["findings"]} == {"ok"}
     rows = next(finding for finding in values["findings"] if finding["check"] == "rows")
@@ -76,7 +76,7 @@ def test_the_sample_bag_is_healthy_in_table_and_json(run: Run, tmp_path: Path) -
     assert "what to do" not in out
     lines = out.strip().splitlines()
     assert lines[-1].split(maxsplit=1) == ["verdict", values["verdict"]]
-    assert "search     --param min_disparity:=0 --param disparity_range:=48" in out
+    assert "search    --param min_disparity:=0 --param disparity_range:=48" in out
 
 
 def test_a_fault_has_its_remedy_in_the_table_and_exit_code_1(run: Run, tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_warnings_are_exit_code_0(run: Run, tmp_path: Path) -> None:
     assert "warning" in out and "usable, could be better; baseline" in out
 
 
-def test_what_could_not_be_looked_at_is_exit_code_3(run: Run, tmp_path: Path) -> None:
+def test_skipped_checks_are_exit_code_3(run: Run, tmp_path: Path) -> None:
     """Images of a ramp: neither black nor empty, but without features."""
 
     def smooth(topic: str, message: Any) -> tuple[str, Any]:
@@ -115,7 +115,7 @@ def test_what_could_not_be_looked_at_is_exit_code_3(run: Run, tmp_path: Path) ->
 
     code, found = findings(run, variant(tmp_path / "smooth.mcap", smooth, frames=1))
     assert code == 3
-    assert found["rows"]["level"] == "left_out"
+    assert found["rows"]["level"] == "skipped"
     assert "something with texture" in found["rows"]["remedy"]
 
 
@@ -135,7 +135,7 @@ def test_a_bag_without_camera_infos(run: Run, tmp_path: Path) -> None:
     assert code == 1
     assert found["left camera info"]["value"] == "none belongs to /left/image_raw"
     assert found["rows before rectification"]["figures"]["median_px"] > 2
-    assert found["rows"]["level"] == "left_out"
+    assert found["rows"]["level"] == "skipped"
 
 
 def test_rectified_images(run: Run, tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_rectified_images(run: Run, tmp_path: Path) -> None:
     assert "rows before rectification" not in found
 
 
-def test_compressed_images_whose_right_eye_is_late(run: Run, tmp_path: Path) -> None:
+def test_compressed_images_whose_right_camera_is_late(run: Run, tmp_path: Path) -> None:
     def compressed(topic: str, message: Any) -> tuple[str, Any]:
         if not topic.endswith("image_raw"):
             return topic, message
@@ -173,7 +173,9 @@ def test_compressed_images_whose_right_eye_is_late(run: Run, tmp_path: Path) -> 
 
     code, found = findings(run, variant(tmp_path / "late.mcap", compressed, frames=2))
     assert code == 1
-    assert "approximate_sync:=true approximate_sync_tolerance_seconds:=0.005" in found["pairs"]["remedy"]
+    assert found["pairs"]["settings"] == {"approximate_sync": True, "approximate_sync_tolerance_seconds": 0.005}
+    out = run(tmp_path / "late.mcap")[1]
+    assert "(--param approximate_sync:=true --param approximate_sync_tolerance_seconds:=0.005)" in out
     assert found["rows"]["level"] == "ok"
 
 
@@ -184,7 +186,7 @@ def test_images_that_cannot_be_decoded(run: Run, tmp_path: Path) -> None:
     code, found = findings(run, variant(tmp_path / "odd.mcap", odd, frames=2))
     assert code == 1
     assert "encoding = 'magic' is not supported" in found["images of /left/image_raw"]["value"]
-    assert found["images"]["level"] == "left_out"
+    assert found["images"]["level"] == "skipped"
 
 
 def test_a_bag_that_is_cut_is_examined_up_to_there(run: Run, tmp_path: Path) -> None:

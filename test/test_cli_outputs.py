@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands write: no input and no earlier result is lost, and what cannot be written is told in one line."""
+"""Outputs of the commands: inputs and earlier results are kept, and write errors are reported in one line."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def bag(whole: Path, tmp_path: Path) -> Path:
-    """A bag that a test may put at risk."""
+    """A copy of the bag that a test may overwrite."""
     return Path(shutil.copy(whole, tmp_path / "in.mcap"))
 
 
 @pytest.fixture
 def folder(whole: Path, tmp_path: Path) -> Path:
-    """The same as a recording of rosbag2."""
+    """The same bag as a rosbag2 folder."""
     path = tmp_path / "rec"
     path.mkdir()
     shutil.copy(whole, path / "rec_0.mcap")
@@ -89,7 +89,7 @@ def refused(result: tuple[int, str, str], text: str) -> None:
     assert text in err
 
 
-READ = "is read by this command: write to another file"
+READ = "would overwrite an input: write to another file"
 
 
 @pytest.mark.parametrize("command", ["process", "replay"])
@@ -106,7 +106,7 @@ def test_no_file_of_a_recording_is_an_output(run: Run, folder: Path, command: st
 
 
 def test_a_bag_with_an_odd_name_is_read_and_kept(run: Run, bag: Path, tmp_path: Path) -> None:
-    """No temporary name is that of an input."""
+    """A temporary name never is that of an input."""
     source = bag.rename(tmp_path / "x.partial.mcap")
     before = source.read_bytes()
     code, _, err = run("process", source, "-o", tmp_path / "x.mcap", *PARAM_ARGUMENTS)
@@ -132,7 +132,7 @@ def test_no_report_replaces_the_bag(run: Run, bag: Path, command: str, more: tup
     if command == "evaluate":
         refused(run(command, bag, *matcher, "--csv", bag, *more), READ)
     if command == "rig":
-        refused(run(command, bag, "--image", bag, *more), READ)
+        refused(run(command, bag, "--plot", bag, *more), READ)
     assert bag.read_bytes() == before
 
 
@@ -142,13 +142,14 @@ def test_an_output_that_exists_stays_without_overwrite(run: Run, bag: Path, tmp_
     bag_out = tmp_path / "old.mcap"
     bag_out.write_text("precious")
     for command in ("process", "replay"):
-        refused(run(command, bag, "-o", bag_out), "old.mcap exists: remove it, write to another file, or give --overwr")
-        refused(run(command, bag, "-o", tmp_path / "o.mcap", "--json", old), "old exists")
+        remedy = "remove it, write to another file, or allow overwriting (--overwrite)"
+        refused(run(command, bag, "-o", bag_out), f"old.mcap: already exists: {remedy}")
+        refused(run(command, bag, "-o", tmp_path / "o.mcap", "--json", old), "old: already exists")
     for arguments in (
         ("info", bag, "--json", old),
         ("doctor", bag, "--json", old),
         ("rig", bag, "--json", old),
-        ("rig", bag, "--image", old),
+        ("rig", bag, "--plot", old),
         ("evaluate", bag, "--matcher", "bm", "--json", old),
         ("evaluate", bag, "--matcher", "bm", "--csv", old),
         ("parameters", "--json", old),
@@ -180,14 +181,14 @@ def test_overwrite_replaces(run: Run, bag: Path, tmp_path: Path) -> None:
 def test_a_demo_is_not_replaced_without_overwrite(run: Run, tmp_path: Path) -> None:
     for name in ("demo.mcap", "demo.png"):
         (tmp_path / name).write_text("old")
-        refused(run("demo", "--output-dir", tmp_path), f"{name} exists")
+        refused(run("demo", "--output-dir", tmp_path), f"{name}: already exists")
         assert (tmp_path / name).read_text() == "old"
         (tmp_path / name).unlink()
     assert "demo --overwrite" in (Path(__file__).resolve().parents[1] / "Makefile").read_text()
 
 
 @pytest.mark.parametrize("more", [(), ("--overwrite",)])
-def test_rectify_keeps_its_pictures_and_its_calibration(run: Run, tmp_path: Path, more: tuple[str, ...]) -> None:
+def test_rectify_keeps_its_images_and_its_calibration(run: Run, tmp_path: Path, more: tuple[str, ...]) -> None:
     write_pair(tmp_path)
     (tmp_path / "l.png").hardlink_to(tmp_path / "left.png")
     (tmp_path / "r.png").hardlink_to(tmp_path / "right.png")
@@ -203,12 +204,14 @@ def test_rectify_keeps_its_pictures_and_its_calibration(run: Run, tmp_path: Path
     if more:
         assert result[0] == 0, result
     else:
-        refused(result, "rows.png exists")
+        refused(
+            result, "rows.png: already exists: remove it, write to another file, or allow overwriting (--overwrite)"
+        )
         assert contents(tmp_path / "out") == {tmp_path / "out" / "rows.png": b"old"}
 
 
 @pytest.mark.parametrize("more", [(), ("--overwrite",)])
-def test_calibrate_keeps_its_pictures_and_an_earlier_result(run: Run, tmp_path: Path, more: tuple[str, ...]) -> None:
+def test_calibrate_keeps_its_images_and_an_earlier_result(run: Run, tmp_path: Path, more: tuple[str, ...]) -> None:
     for name in ("left1.png", "right1.png"):
         cv2.imwrite(str(tmp_path / name), np.full((48, 64), 99, np.uint8))
     before = contents(tmp_path)
@@ -218,13 +221,13 @@ def test_calibrate_keeps_its_pictures_and_an_earlier_result(run: Run, tmp_path: 
     for name in ("left.yaml", "right.yaml", "calibration.json", "calibration.txt", "coverage.png"):
         (tmp_path / "o").mkdir()
         (tmp_path / "o" / name).write_text("old")
-        told = "no board of 9x6" if more else f"{name} exists"
-        refused(run("calibrate", tmp_path, *board, "-o", tmp_path / "o", *more), told)
+        text = "no board of 9x6" if more else f"{name}: already exists"
+        refused(run("calibrate", tmp_path, *board, "-o", tmp_path / "o", *more), text)
         assert contents(tmp_path / "o") == {tmp_path / "o" / name: b"old"}
         shutil.rmtree(tmp_path / "o")
 
 
-def test_evaluate_keeps_the_truth_and_earlier_pictures(run: Run, whole: Path, tmp_path: Path) -> None:
+def test_evaluate_keeps_the_truth_and_earlier_plots(run: Run, whole: Path, tmp_path: Path) -> None:
     scene = tmp_path / "one"
     write_scene(scene)
     before = contents(tmp_path)
@@ -233,17 +236,17 @@ def test_evaluate_keeps_the_truth_and_earlier_pictures(run: Run, whole: Path, tm
         for option in ("--json", "--csv"):
             refused(run("evaluate", scene, *small, option, scene / name, "--overwrite"), READ)
     assert contents(tmp_path) == before
-    images = tmp_path / "images"
-    images.mkdir()
+    plots = tmp_path / "plots"
+    plots.mkdir()
     for place, name in ((scene, "one_bm.png"), (scene, "one_bm_confidence.png"), (whole, "in_0001_bm.png")):
-        (images / name).write_text("old")
-        refused(run("evaluate", place, *small, "--images", images), f"{name} exists")
-        assert contents(images) == {images / name: b"old"}
-        code, _, err = run("evaluate", place, *small, "--images", images, "--overwrite")
+        (plots / name).write_text("old")
+        refused(run("evaluate", place, *small, "--plots", plots), f"{name}: already exists")
+        assert contents(plots) == {plots / name: b"old"}
+        code, _, err = run("evaluate", place, *small, "--plots", plots, "--overwrite")
         assert code == 0, err
-        assert cv2.imread(str(images / "one_bm.png" if place == scene else images / name)) is not None
-        shutil.rmtree(images)
-        images.mkdir()
+        assert cv2.imread(str(plots / "one_bm.png" if place == scene else plots / name)) is not None
+        shutil.rmtree(plots)
+        plots.mkdir()
 
 
 def test_convert_keeps_the_dataset(run: Run, tmp_path: Path) -> None:
@@ -262,7 +265,7 @@ def test_convert_keeps_the_dataset(run: Run, tmp_path: Path) -> None:
     "target", ["none/r.json", "file/r.json", "."], ids=["folder is missing", "folder is a file", "is a folder"]
 )
 @pytest.mark.parametrize("command", ["process", "replay", "info", "doctor", "rig", "parameters", "demo"])
-def test_what_cannot_be_written_is_told_before_the_work(
+def test_unwritable_report_is_reported_before_the_work(
     run: Run, bag: Path, tmp_path: Path, command: str, target: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for work in ("process.process_bag", "info.inspect_bag", "replay.run_live", "demo.run_live"):
@@ -270,7 +273,7 @@ def test_what_cannot_be_written_is_told_before_the_work(
     (tmp_path / "file").write_text("")
     places: dict[str, tuple[object, ...]] = {"parameters": (), "demo": ("--output-dir", tmp_path / "d")}
     arguments = places.get(command, (bag, "-o", tmp_path / "o.mcap") if command in ("process", "replay") else (bag,))
-    refused(run(command, *arguments, "--json", tmp_path / target), "cannot write")
+    refused(run(command, *arguments, "--json", tmp_path / target), "cannot be written")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "in.mcap"]
 
 
@@ -293,7 +296,7 @@ def test_a_failed_replay_keeps_the_earlier_result(
     output.write_text("good")
     code, _, err = run("replay", bag, "-o", output, "--start", "50", "--overwrite", *PARAM_ARGUMENTS)
     assert code == 1
-    assert "has no pair from 50 s on" in err
+    assert "no pair after 50 s" in err
     assert output.read_text() == "good"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["good.mcap", "in.mcap"]
 
@@ -332,13 +335,13 @@ def test_a_full_disk_is_one_line(tmp_path: Path, whole: Path) -> None:
         done = subprocess.run(
             [*STEREO_DEPTH, *arguments], capture_output=True, text=True, timeout=120, preexec_fn=limit_files
         )
-        refused((done.returncode, done.stdout, done.stderr), "make room on the disk")
+        refused((done.returncode, done.stdout, done.stderr), "free space on the disk")
         assert [path.name for path in tmp_path.iterdir()] == ["good.mcap"]
         assert (tmp_path / "good.mcap").read_text() == "good"
 
 
 @pytest.mark.parametrize("text", ["parameters", "parameters --json -", "info --help"])
-def test_a_stdout_that_is_full_is_one_line_and_one_that_is_closed_is_quiet(text: str) -> None:
+def test_full_stdout_is_one_line_and_closed_stdout_is_silent(text: str) -> None:
     command = [*STEREO_DEPTH, *text.split()]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth rectify`: with a calibration and without, images, figures, wrong input."""
+"""`stereo-depth rectify`: with and without a calibration, images, JSON, wrong input."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_by_the_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -
 
 
 @pytest.mark.parametrize("method", ["textbook", "opencv"])
-def test_rectified_anew(run: Run, tmp_path: Path, pair: tuple[Path, Path], method: str) -> None:
+def test_method_computes_new_rectification(run: Run, tmp_path: Path, pair: tuple[Path, Path], method: str) -> None:
     arguments = ("--rig", tmp_path / "rig", "--method", method, "--alpha", "0.5")
     code, out, err = run(*pair, *arguments, "-o", tmp_path / "out", "--json", "-")
     assert (code, err) == (0, "")
@@ -83,7 +83,7 @@ def test_rectified_anew(run: Run, tmp_path: Path, pair: tuple[Path, Path], metho
 
 
 def test_without_a_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
-    """Distortion is removed by the lenses' K and D; the rows come from the images."""
+    """Distortion is removed with K and D of the cameras; the rectification is from the images."""
     arguments = ("--uncalibrated", "--rig", tmp_path / "rig", "-o", tmp_path / "out", "--json", "-")
     code, out, err = run(*pair, *arguments)
     assert (code, err) == (0, "")
@@ -95,11 +95,11 @@ def test_without_a_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]
     assert np.linalg.svd(np.array(result["F"]), compute_uv=False)[2] < 1e-12
 
 
-def test_lenses_without_calibration_are_taken_to_be_straight(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+def test_lenses_without_calibration_are_assumed_undistorted(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     code, out, err = run(*pair, "--uncalibrated", "-o", tmp_path / "out")
     assert code == 0
-    assert "no meters" in out
-    assert "warning: lenses were taken to have no distortion" in err
+    assert "not in meters" in out
+    assert "warning: the lenses are assumed to have no distortion" in err
 
 
 def test_wrong_input(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
@@ -109,8 +109,8 @@ def test_wrong_input(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.full((100, 100), 99, np.uint8))
     for arguments, text in (
-        (pair, "neither --rig nor --uncalibrated"),
-        ((*pair, "--uncalibrated", "--method", "opencv"), "takes a calibration"),
+        (pair, "neither --rig nor --uncalibrated is given"),
+        ((*pair, "--uncalibrated", "--method", "opencv"), "--method opencv needs a calibration"),
         ((*pair, "--rig", tmp_path / "rig", "--method", "bouguet"), "'bouguet' is none of textbook, opencv"),
         ((pair[0], tmp_path / "none.png", "--uncalibrated"), "none.png"),
         ((flat, flat, "--uncalibrated"), "0 different matches of 0"),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth rig`: tables, JSON, image, wrong input."""
+"""`stereo-depth rig`: tables, JSON, plot, wrong input."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def rig_file(tmp_path: Path) -> Path:
     return tmp_path / "left.yaml"
 
 
-def test_table_json_and_picture(run: Run, tmp_path: Path, rig_file: Path) -> None:
-    image, report = tmp_path / "e.png", tmp_path / "r.json"
-    code, out, err = run(rig_file, "--nearest", "0.5", "--image", image, "--json", report)
+def test_tables_json_and_plot(run: Run, tmp_path: Path, rig_file: Path) -> None:
+    plot, report = tmp_path / "e.png", tmp_path / "r.json"
+    code, out, err = run(rig_file, "--nearest", "0.5", "--plot", plot, "--json", report)
     assert (code, err) == (0, "")
     result = json.loads(report.read_text())
     assert result["rig"]["baseline_m"] == pytest.approx(0.125)
@@ -60,11 +60,12 @@ def test_table_json_and_picture(run: Run, tmp_path: Path, rig_file: Path) -> Non
     assert result["depths"][4]["sigma_m"] == pytest.approx(0.125, rel=1e-6)
     for text in ("field of view", "rectified", "error 5 %", "--param min_disparity:=12 --param disparity_range:=112"):
         assert text in out
-    drawn = cv2.imread(str(image))
+    assert result["plot"] == str(plot)
+    drawn = cv2.imread(str(plot))
     assert drawn is not None and drawn.std() > 10
 
 
-def test_search_and_noise_that_are_given(run: Run, rig_file: Path) -> None:
+def test_search_and_noise_that_are_set(run: Run, rig_file: Path) -> None:
     given = ("--param", "disparity_range:=64", "--param", "disparity_sigma_px:=0.1", "--max-error", "2")
     code, out, err = run(rig_file, *given, "--json", "-")
     assert (code, err) == (0, "")
@@ -74,10 +75,10 @@ def test_search_and_noise_that_are_given(run: Run, rig_file: Path) -> None:
     assert result["limits"][1]["farthest_m"] == pytest.approx(0.02 * 50 / 0.1)
 
 
-def test_a_search_whose_nearest_depth_is_too_inexact(run: Run, rig_file: Path) -> None:
+def test_depth_error_above_the_limit_at_the_nearest_depth(run: Run, rig_file: Path) -> None:
     code, _, err = run(rig_file, "--nearest", "3", "--max-error", "0.5")
     assert code == 0
-    assert "warning: from the nearest distance on" in err
+    assert "warning: at the nearest depth" in err
 
 
 @pytest.mark.parametrize(
@@ -95,7 +96,7 @@ def test_wrong_values(run: Run, rig_file: Path, arguments: tuple[str, str], text
     assert text in " ".join(err.split())
 
 
-def test_files_that_are_no_rig(run: Run, rig_file: Path) -> None:
+def test_files_that_are_not_a_rig(run: Run, rig_file: Path) -> None:
     right = rig_file.with_name("right.yaml")
     good = right.read_text()
     right.write_text(good.replace(repr(float(RIG.right.P[0, 3])), repr(1000 * float(RIG.right.P[0, 3]))))
@@ -108,7 +109,7 @@ def test_files_that_are_no_rig(run: Run, rig_file: Path) -> None:
     assert "there is no right.yaml in its folder" in " ".join(err.split())
 
 
-def test_picture_has_a_line_for_each_baseline() -> None:
+def test_plot_has_a_line_for_each_baseline() -> None:
     depths = np.linspace(0.1, 10, 50)
     lines = {"60 mm": depths**2 * 0.01, "120 mm": depths**2 * 0.005}
     both = depth_error_plot(depths, lines, dict.fromkeys(lines, 0.5), 0.05, "title")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The table of commands: complete, in agreement with the commands' own help, and read without importing them."""
+"""The table of commands: complete, consistent with the help of the commands, and available without importing them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import typer
 
-from stereo_depth_ros.cli.errors import error_line
+from stereo_depth_ros.cli.errors import command_options, error_line, error_text
 from stereo_depth_ros.cli.main import COMMANDS, app
 from stereo_depth_ros.core.errors import TopicError
 
@@ -22,7 +22,7 @@ HEAVY = ("numpy", "cv2", "numba", "rich", "rosbags", "mcap", "ruamel", "rclpy")
 
 
 def start(*arguments: str) -> tuple[int, str, set[str]]:
-    """Exit code, output and the heavy modules that `stereo-depth` with these arguments has imported."""
+    """Exit code, output and imported heavy modules of `stereo-depth` with these arguments."""
     program = (
         f"import sys; sys.argv = ['stereo-depth', *{arguments!r}]\n"
         "from stereo_depth_ros.cli.main import main\n"
@@ -42,7 +42,7 @@ def test_help_and_version_import_no_command(argument: str) -> None:
         assert all(name in output for name in COMMANDS)
 
 
-def test_the_block_sees_what_a_command_imports() -> None:
+def test_start_sees_the_imports_of_a_command() -> None:
     assert "numpy" in start("parameters", "--help")[2]
 
 
@@ -68,3 +68,23 @@ def test_settings_of_an_error_become_options() -> None:
     error = TopicError("2 pairs are equally good", remedy="name both", settings=("left", "disparity_range"))
     assert error_line(error) == "error: 2 pairs are equally good: name both (--left, --param disparity_range:=...)"
     assert error_line(TopicError("no topic", subject="drive.mcap")) == "error: drive.mcap: no topic"
+    assert error_text(error.about("drive.mcap")).startswith("drive.mcap: 2 pairs are equally good: name both (--left")
+
+
+def test_only_options_of_the_command_are_named() -> None:
+    group: Any = typer.main.get_command(app)
+    options = {name: command_options(group.get_command(None, name)) for name in ("process", "convert", "calibrate")}
+    names = ("overwrite", "start_seconds", "rate_hz", "disparity_range", "board", "compression")
+    error = TopicError("problem", settings=names)
+    found = {name: error_text(error, options[name]) for name in options}
+    assert found["process"] == "problem (--overwrite, --start, --param disparity_range:=...)"
+    assert found["convert"] == "problem (--overwrite, --rate)"
+    assert found["calibrate"] == "problem (--overwrite, --board)"
+
+
+def test_an_error_is_one_line_without_an_error_number() -> None:
+    assert error_line(TopicError("two\nlines")) == "error: two lines"
+    assert error_line(FileNotFoundError(2, "No such file or directory", "a.yaml")) == (
+        "error: a.yaml: No such file or directory"
+    )
+    assert error_line(OSError("odd")) == "error: odd"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Matches of raw images, and where the points would be without distortion."""
+"""Matches of raw images, and their undistorted points."""
 
 from __future__ import annotations
 
@@ -12,13 +12,8 @@ from two_views import K_LEFT, SIZE
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F64, U8
-from stereo_depth_ros.geometry.correspondences import Correspondences, match_features, undistort_points
-
-COEFFICIENTS = {
-    "plumb_bob": [-0.28, 0.07, 0.0006, -0.0009, 0.01],
-    "rational_polynomial": [0.4, 0.1, 0.0006, -0.0009, 0.01, 0.7, 0.15, 0.02],
-    "equidistant": [-0.03, 0.01, -0.006, 0.001],
-}
+from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
+from stereo_depth_ros.geometry.rays import undistort_points
 
 
 def camera(model: str, D: list[float]) -> CameraModel:
@@ -26,7 +21,7 @@ def camera(model: str, D: list[float]) -> CameraModel:
 
 
 def texture() -> U8:
-    """Blobs of several sizes that are not alike."""
+    """Different blobs of several sizes."""
     random = np.random.default_rng(5)
     octaves = [cv2.resize(random.random((240 // k, 320 // k)), (320, 240), interpolation=2) for k in (4, 8, 16)]
     image: U8 = cv2.normalize(sum(octaves), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
@@ -38,8 +33,8 @@ def mapped(H: F64, points: F64) -> F64:
     return moved
 
 
-def test_matches_of_a_picture_and_its_warp() -> None:
-    """A turn, a zoom and a tilt: positions within a fraction of a pixel, without a bias in any direction."""
+def test_matches_of_an_image_and_its_warp() -> None:
+    """A rotation, a zoom and a tilt: positions within a fraction of a pixel, without a bias in any direction."""
     left = texture()
     H = np.array([[1.05, -0.06, 9.3], [0.08, 1.02, -7.6], [1e-4, -5e-5, 1.0]])
     right = cv2.warpPerspective(left, H, (300, 260), flags=cv2.INTER_CUBIC)
@@ -51,7 +46,7 @@ def test_matches_of_a_picture_and_its_warp() -> None:
     assert np.mean(np.linalg.norm(error, axis=1) < 2) > 0.97
 
 
-def test_matches_are_in_one_order_and_single() -> None:
+def test_matches_are_deterministic_and_unique() -> None:
     left = texture()
     right = np.roll(left, (3, -8), axis=(0, 1))
     first, second = match_features(left, right), match_features(left, right)
@@ -61,45 +56,24 @@ def test_matches_are_in_one_order_and_single() -> None:
     assert len(np.unique(both, axis=0)) == len(both)
 
 
-def test_pictures_without_anything_in_common() -> None:
+def test_images_with_nothing_in_common() -> None:
     assert len(match_features(np.full((60, 80), 90, np.uint8), texture())) == 0
 
 
-def test_pictures_that_are_not_grey() -> None:
+def test_images_that_are_not_gray() -> None:
     gray = texture()
-    with pytest.raises(ImageError, match=r"left image is float32 of shape \(240, 320\)"):
+    with pytest.raises(ImageError, match=r"left image: float32 of shape \(240, 320\)"):
         match_features(gray.astype(np.float32), gray)
-    with pytest.raises(ImageError, match=r"right image is uint8 of shape \(240, 320, 3\).*convert it to gray"):
+    with pytest.raises(ImageError, match=r"right image: uint8 of shape \(240, 320, 3\).*convert it to gray"):
         match_features(gray, cv2.merge([gray, gray, gray]))
 
 
-def test_points_of_different_number() -> None:
+def test_different_numbers_of_points() -> None:
     with pytest.raises(ImageError, match=r"\(3, 2\) and \(4, 2\)"):
         Correspondences(np.zeros((3, 2)), np.zeros((4, 2)))
 
 
-@pytest.mark.parametrize("model", COEFFICIENTS)
-def test_undistorted_points_are_those_of_the_pinhole(model: str) -> None:
-    """Rays are projected with and without distortion; the one is turned into the other."""
-    side = camera(model, COEFFICIENTS[model])
-    rays = np.random.default_rng(1).uniform((-0.75, -0.5), (0.7, 0.5), (200, 2))
-    points = np.column_stack((rays, np.ones(200)))
-    none = np.zeros(3)
-    if model == "equidistant":
-        raw = cv2.fisheye.projectPoints(points[:, None], none, none, side.K, side.D)[0][:, 0]
-    else:
-        raw = cv2.projectPoints(points, none, none, side.K, side.D)[0][:, 0]
-    expected = rays * [side.K[0, 0], side.K[1, 1]] + side.K[:2, 2]
-    np.testing.assert_allclose(undistort_points(raw, side), expected, atol=1e-6)
-    assert np.abs(raw - expected).max() > 5
-
-
-def test_without_distortion_points_stay() -> None:
-    points = np.array([[3.25, 200.5], [700.0, 1.0]])
-    np.testing.assert_array_equal(undistort_points(points, camera("plumb_bob", [0.0] * 5)), points)
-
-
-def test_points_that_no_pinhole_sees_are_left_out() -> None:
+def test_points_that_no_pinhole_sees_are_removed() -> None:
     """Of a fisheye, a point 95 degrees off the axis."""
     side = camera("equidistant", [0.0, 0.0, 0.0, 1e-9])
     beyond = np.array([side.K[0, 2] + side.K[0, 0] * np.radians(95), side.K[1, 2]])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig can see: against Z = f B / (d - doffs), and against triangulation of noisy disparities."""
+"""Depth range of a rig: against Z = f B / (d - doffs), and against triangulation of noisy disparities."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.geometry.depth_range import (
     Precision,
+    default_nearest_m,
     depth_errors,
     depth_range,
     recommended_search,
-    usual_nearest,
-    whole_depths,
+    rounded_depths_m,
 )
 
 RIG = StereoRig.from_rectified(400.0, 420.0, 330.0, 318.0, 205.0, 0.125, (640, 430))  # f B = 50, doffs = 12
@@ -37,7 +37,7 @@ def test_range() -> None:
     assert wide.search_end_m == math.inf
 
 
-def test_at_the_farthest_depth_the_error_is_what_is_allowed() -> None:
+def test_the_error_at_the_farthest_depth_is_the_acceptable_one() -> None:
     farthest_m = depth_range(RIG, MatchingConfig(), PRECISION).farthest_m
     (error,) = depth_errors(RIG, [farthest_m], PRECISION)
     assert error.sigma_m == pytest.approx(0.05 * farthest_m, rel=1e-5)
@@ -72,32 +72,32 @@ def test_recommended_search_reaches_from_the_distance_to_infinity() -> None:
         assert search.min_disparity == 12
         assert search.max_disparity >= 50 / nearest_m + 12
         assert search.num_disparities == 32 or search.max_disparity - 16 < 50 / nearest_m + 13
-    # Whole disparities of rounding are those
+    # Disparities that are whole up to rounding count as whole
     rounded = StereoRig.from_rectified(400.0, 420.0, 330.0, 330.0 - 1e-9, 205.0, 0.125, (640, 430))
     assert recommended_search(rounded, 1.0).min_disparity == 0
 
 
-def test_usual_nearest_is_an_eighth_of_the_width() -> None:
-    assert 50 / usual_nearest(RIG) == pytest.approx(640 / 8)
+def test_default_nearest_is_an_eighth_of_the_width() -> None:
+    assert 50 / default_nearest_m(RIG) == pytest.approx(640 / 8)
 
 
 @pytest.mark.parametrize(
     ("first_m", "last_m", "step_m"), [(0.3, 12, 1), (0.3, 4, 0.5), (0.3, 0.8, 0.1), (2, 900, 5), (0.5, 3000, 20)]
 )
-def test_whole_depths(first_m: float, last_m: float, step_m: float) -> None:
-    depths = whole_depths(first_m, last_m)
+def test_rounded_depths(first_m: float, last_m: float, step_m: float) -> None:
+    depths = rounded_depths_m(first_m, last_m)
     np.testing.assert_allclose(np.diff(depths), step_m)
     assert first_m <= depths[0] < first_m + step_m
     assert last_m - step_m < depths[-1] <= last_m
     assert len(depths) <= 201
 
 
-def test_values_that_cannot_be() -> None:
+def test_invalid_values() -> None:
     with pytest.raises(ConfigError, match="sigma_px = 0 is not above 0"):
         Precision(1 / 16, 0, 0.05)
-    with pytest.raises(ConfigError, match="error of 150 % of the depth is asked for, limit 100 %"):
+    with pytest.raises(ConfigError, match="depth error 150 % is above 100 %"):
         Precision(1 / 16, 0.25, 1.5)
-    with pytest.raises(ConfigError, match=r"search ends at 11 px, infinity is at 12\.00 px"):
+    with pytest.raises(ConfigError, match=r"search ends at 11 px, below the disparity of infinity, 12\.00 px"):
         depth_range(RIG, MatchingConfig(min_disparity=-20, num_disparities=32), PRECISION)
     with pytest.raises(ConfigError, match=r"at 0\.05 m the disparity is 1012 px and the images are 640 px wide"):
         recommended_search(RIG, 0.05)

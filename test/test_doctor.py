@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Each fault of a stereo setup is found, named, and has its remedy; what is healthy is called healthy."""
+"""Each fault of a stereo setup is found, named, and has its remedy; a healthy setup has none."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def fisheye_with_K_R(info: Any) -> Any:  # noqa: N802
     return replace(info, distortion_model="equidistant", d=np.array([0.1, 0.01, 0.0, 0.0]), p=P.ravel())
 
 
-# left change, right change, the check that finds it, words of the value, words of the remedy
+# left change, right change, the check that finds it, part of the value, part of the remedy
 CALIBRATION_FAULTS = {
     "K not set": (entries("k", np.zeros_like), as_is, "left K", "all zero", "calibrate the camera"),
     "R not set": (as_is, entries("r", np.zeros_like), "right R", "all zero", "calibrate the camera"),
@@ -89,7 +89,7 @@ CALIBRATION_FAULTS = {
         "is not of the form",
         "write it row by row",
     ),
-    "P is K R": (as_is, fisheye_with_K_R, "right P", "P is K R", "stereo-depth calibrate --model equidistant"),
+    "P is K R": (as_is, fisheye_with_K_R, "right P", "P is K R", "calibrate again with the lens model equidistant"),
     "swapped infos": (put("p", 3, -51.6), put("p", 3, 0.0), "left P[:, 3]", "the reference", "probably swapped"),
 }
 
@@ -106,17 +106,17 @@ def test_a_fault_of_the_camera_infos(bare: StereoSetup, name: str) -> None:
     assert value in found[check].value
     assert remedy in found[check].remedy
     assert check in diagnosis.verdict and diagnosis.verdict.startswith("not usable; ")
-    with pytest.raises(CalibrationError):  # the nodes refuse it as well
+    with pytest.raises(CalibrationError):  # the nodes refuse it too
         StereoRig.from_infos(faulty.left.infos[0], faulty.right.infos[0])
 
 
-def test_the_nodes_take_what_the_doctor_takes(bare: StereoSetup) -> None:
+def test_the_nodes_accept_what_the_doctor_accepts(bare: StereoSetup) -> None:
     StereoRig.from_infos(bare.left.infos[0], bare.right.infos[0])
     assert not faults(diagnose(bare))
 
 
 def test_no_fault_hides_another(bare: StereoSetup) -> None:
-    left = both(entries("k", np.zeros_like), put("d", 0, np.nan), entries("p", np.zeros_like))  # 0 is no K R
+    left = both(entries("k", np.zeros_like), put("d", 0, np.nan), entries("p", np.zeros_like))  # 0 is not K R
     found = faults(diagnose(with_infos(bare, left, put("r", 0, np.nan))))
     assert found.keys() == {"left K", "left distortion", "left P", "right R"}
     right = both(times("p", 3, -1000), times("p", 5, 1.1), times("p", 6, 1.1))
@@ -159,7 +159,7 @@ def test_two_different_camera_infos(bare: StereoSetup) -> None:
     assert found["left camera info"].value == "2 different ones"
 
 
-def test_frame_ids_that_speak_of_the_other_eye(bare: StereoSetup) -> None:
+def test_frame_ids_of_the_other_camera(bare: StereoSetup) -> None:
     def named(frame_id: str) -> Change:
         return lambda info: replace(info, header=replace(info.header, frame_id=frame_id))
 
@@ -176,7 +176,7 @@ def test_a_calibration_of_another_resolution_names_it(bare: StereoSetup, factor:
     assert f"by {1 / factor:.4g}" in found["left center"].remedy
 
 
-def test_a_centre_off_in_one_axis_is_a_warning(bare: StereoSetup) -> None:
+def test_a_center_off_in_one_axis_is_a_warning(bare: StereoSetup) -> None:
     found = faults(diagnose(with_infos(bare, put("k", 2, 80.0))))
     assert found.keys() == {"left center"} and found["left center"].level is Level.WARNING
 
@@ -192,13 +192,13 @@ def test_the_sample_bag_is_healthy(room: StereoSetup) -> None:
     progress: list[tuple[int, int]] = []
     diagnosis = diagnose(room, lambda done, total: progress.append((done, total)))
     assert progress == [(0, 1), (1, 1)]
-    assert diagnosis.level is Level.OK and not diagnosis.left_out
+    assert diagnosis.level is Level.OK and not diagnosis.skipped
     found = all_of(diagnosis)
     assert found["rows before rectification"].figures["median_px"] > 2
     assert found["rows"].figures["median_px"] < 0.1
     assert found["order of the cameras"].figures["share_behind"] < 0.05
     # Truth of the first frame: disparities 16.4 to 38.6 px (1.77 to 7.5 m), infinity at 9.5 px.
-    assert diagnosis.search == "--param min_disparity:=0 --param disparity_range:=48"
+    assert diagnosis.search == {"min_disparity": 0, "disparity_range": 48}
     assert found["depths of the features"].figures["near_m"] == pytest.approx(1.9, rel=0.15)
     assert diagnosis.verdict.startswith("healthy; baseline 0.1201 m, rows agree to 0.0")
 
@@ -211,7 +211,7 @@ def test_wrong_width_and_height_where_K_is_right(room: StereoSetup) -> None:  # 
     found = faults(diagnosis)
     assert found.keys() == {"left image size", "right image size"}
     assert "set width and height of the camera info to that" in found["left image size"].remedy
-    assert all_of(diagnosis)["rows"].level is Level.LEFT_OUT
+    assert all_of(diagnosis)["rows"].level is Level.SKIPPED
 
 
 def test_images_of_half_the_calibrated_size(room: StereoSetup) -> None:
@@ -237,9 +237,9 @@ def test_images_of_the_whole_sensor(room: StereoSetup, change: Change) -> None:
     found = faults(diagnose(with_infos(room, change, change)))
     assert found.keys() == {"left image size", "right image size"}
     assert "whole sensor: set binning and roi of the camera info to 0" in found["left image size"].remedy
-    one_eye = faults(diagnose(with_infos(room, as_is, change)))
-    assert one_eye.keys() == {"sizes", "right image size"}
-    assert one_eye["sizes"].remedy == one_eye["right image size"].remedy
+    one_side = faults(diagnose(with_infos(room, as_is, change)))
+    assert one_side.keys() == {"sizes", "right image size"}
+    assert one_side["sizes"].remedy == one_side["right image size"].remedy
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_images_of_another_size(room: StereoSetup, width: int, height: int, reme
     assert remedy in found["right image size"].remedy
 
 
-def test_one_camera_info_for_both_eyes(room: StereoSetup) -> None:
+def test_one_camera_info_for_both_cameras(room: StereoSetup) -> None:
     found = faults(diagnose(replace(room, right=replace(room.right, infos=room.left.infos))))
     assert "both camera infos are equal" in found["right P[0,3]"].remedy
     assert found.keys() - {"right frame_id"} == {"right P[0,3]", "rows"}
@@ -271,7 +271,7 @@ def test_rows_after_a_calibration_of_another_resolution(room: StereoSetup) -> No
 
 
 @pytest.mark.parametrize("sides", ["images", "infos", "both"])
-def test_swapped_eyes_are_told_from_the_pictures(room: StereoSetup, sides: str) -> None:
+def test_swapped_cameras_are_found_by_the_images(room: StereoSetup, sides: str) -> None:
     swapped = room
     if sides in ("infos", "both"):
         left, right = replace(room.left, infos=room.right.infos), replace(room.right, infos=room.left.infos)
@@ -284,19 +284,19 @@ def test_swapped_eyes_are_told_from_the_pictures(room: StereoSetup, sides: str) 
     remedies["both"] = "the image topics of left and right and those of the infos"
     assert order.level is Level.ERROR
     assert order.remedy == f"exchange {remedies[sides]}"
-    assert order.remedy in diagnosis.verdict, "the cause comes before what follows from it"
+    assert order.remedy in diagnosis.verdict, "the root cause comes first"
     errors = [finding for finding in diagnosis.findings if finding.level is Level.ERROR]
-    assert {finding.remedy for finding in errors} == {order.remedy}, "one remedy, whatever shows the fault"
-    assert all_of(diagnosis)["rows"].level is Level.LEFT_OUT
+    assert {finding.remedy for finding in errors} == {order.remedy}, "one remedy for all checks that show the fault"
+    assert all_of(diagnosis)["rows"].level is Level.SKIPPED
 
 
-def test_the_pictures_tell_a_wrong_sign_from_swapped_eyes(room: StereoSetup) -> None:
+def test_the_images_distinguish_a_wrong_sign_from_swapped_cameras(room: StereoSetup) -> None:
     found = faults(diagnose(with_infos(room, as_is, times("p", 3, -1))))
     assert found.keys() == {"right P[0,3]"}
     assert found["right P[0,3]"].remedy == "the images are in order: change the sign of P[0,3]"
 
 
-def test_millimetres_do_not_hide_the_rows(room: StereoSetup) -> None:
+def test_millimeters_do_not_hide_the_rows(room: StereoSetup) -> None:
     found = all_of(diagnose(with_infos(room, as_is, times("p", 3, 1000))))
     assert found["rows"].level is Level.OK
     assert found["disparities"].level is Level.OK
@@ -320,13 +320,13 @@ def test_the_calibration_of_other_cameras(room: StereoSetup) -> None:
     assert "may be rectified already" in all_of(diagnose(no_infos))["rows"].remedy
 
 
-def test_black_pictures_leave_the_rows_open(room: StereoSetup) -> None:
+def test_rows_of_black_images_are_skipped(room: StereoSetup) -> None:
     pair = room.pairs[0]
     black = StereoPair(pair.left, replace(pair.right, pixels=np.zeros_like(pair.right.pixels)))
     diagnosis = diagnose(replace(room, pairs=[black]))
     assert faults(diagnosis).keys() == {"right image"}
-    assert all_of(diagnosis)["rows"].level is Level.LEFT_OUT
-    assert diagnosis.left_out
+    assert all_of(diagnosis)["rows"].level is Level.SKIPPED
+    assert diagnosis.skipped
 
 
 def test_one_camera_on_both_topics(room: StereoSetup) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The doctor's checks of stamps, images, rows and disparities, each for itself."""
+"""The checks of stamps, images, rows and disparities, separately."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def test_healthy_stamps() -> None:
 def test_stamps_that_are_never_equal_get_a_tolerance() -> None:
     found = streams(stamps(20), stamps(20, 6_000_000))
     assert found["pairs"].level is Level.ERROR
-    assert "approximate_sync:=true approximate_sync_tolerance_seconds:=0.008" in found["pairs"].remedy
+    assert found["pairs"].settings == {"approximate_sync": True, "approximate_sync_tolerance_seconds": 0.008}
+    assert "pair stamps that differ" in found["pairs"].remedy
     assert found["stamp offset"].figures["median_ms"] == pytest.approx(6.0)
     assert found["stamp offset"].level is Level.WARNING
 
@@ -115,7 +116,7 @@ def test_limits_of_the_rows(shift_px: float, level: Level) -> None:
     assert found.figures["median_px"] == pytest.approx(shift_px, abs=0.02)
 
 
-def test_rows_that_are_off_in_a_part_of_the_picture() -> None:
+def test_rows_that_are_off_in_a_part_of_the_image() -> None:
     found = rows(lambda x, y: np.where(x > 500, 2.6, 0.0))
     assert found.figures["median_px"] < 0.2
     assert found.level is Level.WARNING
@@ -137,7 +138,7 @@ def test_the_pattern_of_the_row_errors(
     found = rows(error)
     assert found.level is Level.ERROR
     assert words in found.remedy
-    # three standard deviations of the plane through 600 points: noise 0.1 px, or 1.8 px where the rest is a wave
+    # three standard deviations of the plane through 600 points: noise 0.1 px, or 1.8 px where the residual is a wave
     assert found.figures[figure] == pytest.approx(value_px, abs=0.3 if value_px == 0 else 0.05)
 
 
@@ -150,12 +151,12 @@ def test_the_pattern_of_the_row_errors(
         ((14.0, 30.0), 9.5, (0, 48)),
     ],
 )
-def test_the_search_covers_what_is_seen(
+def test_the_search_covers_the_disparities(
     disparity: tuple[float, float], doffs_px: float, search: tuple[int, int]
 ) -> None:
     rig = StereoRig.from_rectified(F_PX, 420.0, 300.0 + doffs_px, 300.0, 240.0, 0.12, (WIDTH, HEIGHT))
     found = {finding.check: finding for finding in check_depths(matching(lambda x, y: 0 * x, disparity), rig, True)}
-    figures = found["disparities"].figures
-    assert (figures["min_disparity"], figures["disparity_range"]) == search
+    settings = found["disparities"].settings
+    assert (settings["min_disparity"], settings["disparity_range"]) == search
     near_m = F_PX * 0.12 / (disparity[1] - doffs_px)
     assert found["depths of the features"].figures["near_m"] == pytest.approx(near_m, rel=0.05)

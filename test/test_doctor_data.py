@@ -62,7 +62,7 @@ def test_kitti_is_healthy(stereo_data: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_euroc_with_swapped_eyes(euroc: StereoSetup) -> None:
+def test_euroc_with_swapped_cameras(euroc: StereoSetup) -> None:
     diagnosis = diagnose(replace(euroc, pairs=[StereoPair(pair.right, pair.left) for pair in euroc.pairs]))
     assert diagnosis.verdict == "not usable; order of the cameras: exchange the image topics of left and right"
 

@@ -103,7 +103,7 @@ def test_matcher_table_has_one_row_a_matcher() -> None:
     rows = render_matcher_table().splitlines()[2:]
     for number, (row, info) in enumerate(zip(rows, MATCHERS.values(), strict=True)):
         assert row == f"| {number} | `{info.name}` | {info.sentence} | {info.uniqueness or 'no effect'} |"
-    assert rows[2].startswith("| 2 | `sgm` | The default: ") and "a third of it" in rows[2]
+    assert rows[2].startswith("| 2 | `sgm` | The default: ") and "three times the percentage" in rows[2]
     assert rows[7].endswith("| no effect |")
 
 

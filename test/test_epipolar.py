@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Epipolar geometry of known cameras: against projections, against OpenCV, and against points moved by hand."""
+"""Epipolar geometry of known cameras: against projections, OpenCV and shifted points."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_essential_matrix_holds_in_camera_coordinates() -> None:
     )
 
 
-def test_epipoles_are_the_pictures_of_the_other_centre() -> None:
+def test_epipoles_are_the_projections_of_the_other_center() -> None:
     left, right = epipoles(F_TRUE)
     np.testing.assert_allclose(left[:2] / left[2], project(POSE.right_center[None], K_LEFT)[0], rtol=1e-8)
     np.testing.assert_allclose(right[:2] / right[2], project(POSE.t[None], K_RIGHT)[0], rtol=1e-8)
@@ -61,7 +61,7 @@ def test_epipoles_of_a_rectified_pair_are_at_infinity() -> None:
         np.testing.assert_allclose(np.abs(epipole), [1, 0, 0], atol=1e-15)
 
 
-def test_epipolar_lines_hold_the_other_point() -> None:
+def test_epipolar_lines_contain_the_other_point() -> None:
     lines = epipolar_lines(F_TRUE, SEEN.left_px)
     np.testing.assert_allclose(np.hypot(lines[:, 0], lines[:, 1]), 1, atol=1e-14)
     assert np.abs((lines * homogeneous(SEEN.right_px)).sum(axis=1)).max() < 1e-9
@@ -83,7 +83,7 @@ def test_the_epipole_has_no_line() -> None:
 
 
 def test_symmetric_distance_of_a_shift_across_the_rows() -> None:
-    """Of a rectified pair with the right rows 3 px lower both distances are 3."""
+    """In a rectified pair with the right rows 3 px lower both distances are 3."""
     F = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     lower = SEEN.left_px + np.array([-9.0, 3.0])
     np.testing.assert_allclose(symmetric_epipolar_distance(F, SEEN.left_px, lower), 3, atol=1e-10)
@@ -95,10 +95,10 @@ def test_symmetric_distance_is_the_mean_of_both() -> None:
     in_left = np.abs((epipolar_lines(F_TRUE.T, moved) * homogeneous(SEEN.left_px)).sum(axis=1))
     expected = (0.7 + in_left) / 2
     np.testing.assert_allclose(symmetric_epipolar_distance(F_TRUE, SEEN.left_px, moved), expected, atol=1e-9)
-    assert np.ptp(in_left) > 0.01  # the cameras differ, so that the mean is no accident
+    assert np.ptp(in_left) > 0.01  # the cameras differ, so that the mean differs from both
 
 
-def test_sampson_distance_is_the_way_to_the_nearest_pair_that_fits() -> None:
+def test_sampson_distance_is_the_distance_to_the_nearest_exact_match() -> None:
     noisy = views(40, noise_px=0.3, seed=3)
     nearest_left, nearest_right = _corrected(noisy.left_px, noisy.right_px)
     way = np.hypot(
@@ -114,6 +114,6 @@ def _corrected(left_px: F64, right_px: F64) -> tuple[F64, F64]:
 
 
 def test_sampson_distance_of_two_epipoles_is_0() -> None:
-    """Of a camera that went straight ahead, whose epipoles are at 0."""
+    """For a camera that moved straight ahead the epipoles are at 0."""
     F = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])
     np.testing.assert_array_equal(sampson_distance(F, np.zeros((1, 2)), np.zeros((1, 2))), 0)

@@ -19,7 +19,7 @@ from stereo_depth_ros.plots.error import error_colors, error_plot
 NAN = np.nan
 
 
-def test_each_class_of_errors_has_its_colour() -> None:
+def test_each_class_of_errors_has_its_color() -> None:
     truth = np.full((1, 12), 20, np.float32)
     truth[0, 11] = NAN
     found = truth + np.array([[0, 0.5, -0.6, 1, 1.1, -2, 2.5, 4, 4.5, -9, NAN, 0]], np.float32)
@@ -32,7 +32,7 @@ def test_each_class_of_errors_has_its_colour() -> None:
     assert not colors[10].any()
 
 
-def test_panels_lie_two_by_two_and_share_the_colours_of_the_truth() -> None:
+def test_panels_lie_two_by_two_and_share_the_colors_of_the_truth() -> None:
     left = np.full((60, 300), 77, np.uint8)  # enlarged twice
     truth = np.tile(np.linspace(5, 45, 300, dtype=np.float32), (60, 1))
     found = truth.copy()
@@ -92,9 +92,9 @@ def test_curve_ends_at_the_density_and_at_the_error_of_all() -> None:
     assert rows.mean() == pytest.approx(368 - 5 / 9.2 * (420 - 62 - 52), abs=2)
 
 
-def test_picture_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+def test_image_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     image = np.zeros((3, 4, 3), np.uint8)
     save_png(tmp_path / "new" / "a.png", image)
     assert cv2.imread(str(tmp_path / "new" / "a.png")).shape == (3, 4, 3)
-    with pytest.raises(OutputError, match=r"cannot write .*a\.png/b\.png: .* take a folder"):
+    with pytest.raises(OutputError, match=r"a\.png/b\.png: cannot be written: .* choose a writable folder"):
         save_png(tmp_path / "new" / "a.png" / "b.png", image)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth evaluate`: tables, files, images, skipped scenes, exit codes."""
+"""`stereo-depth evaluate`: tables, files, plots, skipped scenes, exit codes."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def rows_of(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def test_scenes_and_methods_as_table_json_csv_and_images(run: Run, tmp_path: Path) -> None:
+def test_scenes_times_methods_as_table_json_csv_and_plots(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "data" / "one")
     write_scene(tmp_path / "data" / "set" / "two", seed=2)
-    report, sheet, images = tmp_path / "r.json", tmp_path / "r.csv", tmp_path / "images"
-    files = ("--json", report, "--csv", sheet, "--images", images)
+    report, sheet, plots = tmp_path / "r.json", tmp_path / "r.csv", tmp_path / "plots"
+    files = ("--json", report, "--csv", sheet, "--plots", plots)
     code, out, err = run(tmp_path / "data", "--matcher", "bm", "--matcher", "sgbm", *SMALL, *files)
     assert (code, err) == (0, "")
     rows = rows_of(report)
@@ -78,21 +78,21 @@ def test_scenes_and_methods_as_table_json_csv_and_images(run: Run, tmp_path: Pat
         lines = list(csv.DictReader(file))
     assert [float(line["bad_2_all"]) for line in lines] == [row["bad_2_all"] for row in rows]
     assert 0 < float(lines[0]["auc_bad_1_ratio"]) < 1 and "curve" not in lines[0]
-    assert sorted(path.name for path in images.iterdir()) == sorted(
+    assert sorted(path.name for path in plots.iterdir()) == sorted(
         f"{s}_{m}{kind}.png" for s in ("one", "two") for m in ("bm", "sgbm") for kind in ("", "_confidence")
     )
-    assert cv2.imread(str(images / "one_bm.png")).shape[1] > 1000
+    assert cv2.imread(str(plots / "one_bm.png")).shape[1] > 1000
 
 
-def test_given_range_is_kept_and_reported(run: Run, tmp_path: Path) -> None:
+def test_range_that_is_set_is_used_and_reported(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "one")
     code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, "--param", "disparity_range:=48")
-    assert code == 0 and "48 to 48, as given" in out
+    assert code == 0 and "48 to 48, as set" in out
     code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, "-p", "disparity_range:=48", "--json", "-")
     assert [row["disparity_range"] for row in json.loads(out)] == [48]
 
 
-def test_confidence_is_measured_and_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_confidence_is_measured_and_plotted(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Confident:
         """Block matching with low confidence where it is wrong."""
 
@@ -107,7 +107,7 @@ def test_confidence_is_measured_and_drawn(run: Run, tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(evaluator, "create_matcher", lambda *how: Confident(create_matcher(*how)))
     write_scene(tmp_path / "one")
-    files = ("--json", tmp_path / "r.json", "--images", tmp_path / "p")
+    files = ("--json", tmp_path / "r.json", "--plots", tmp_path / "p")
     code, out, _ = run(tmp_path / "one", "--matcher", "bm", *SMALL, *files)
     assert code == 0
     (row,) = rows_of(tmp_path / "r.json")
@@ -143,7 +143,7 @@ def test_folder_of_a_compressed_bag(run: Run, tmp_path: Path, plugin: StoragePlu
     assert [row["scene"] for row in rows_of(tmp_path / "r.json")] == ["bag/0000"]
 
 
-def test_scenes_that_cannot_be_evaluated_are_skipped_and_reported(run: Run, tmp_path: Path) -> None:
+def test_invalid_scenes_are_skipped_with_a_warning(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "good")
     left, right, truth_px = pair()
     write(write_scene(tmp_path / "scaled") / "disp0.pfm", 4 * truth_px)
@@ -154,23 +154,23 @@ def test_scenes_that_cannot_be_evaluated_are_skipped_and_reported(run: Run, tmp_
     assert code == 3
     assert [row["scene"] for row in rows_of(tmp_path / "r.json")] == ["good"]
     assert "good" in out
-    told = err.splitlines()
-    assert len(told) == 4 and told[-1].startswith("error: 3 left out")
-    assert told[0].startswith("warning: scaled left out: the scale of the truth looks wrong, it is about 4 times")
-    assert told[1].startswith("warning: small left out: sizes differ: left 170x96, right 170x96, truth 168x96")
-    assert told[2].startswith("warning: swapped left out: cameras look swapped")
+    lines = err.splitlines()
+    assert len(lines) == 4 and lines[-1].startswith("error: 3 skipped")
+    assert lines[0].startswith("warning: scaled skipped: the scale of the truth looks wrong, it is about 4 times")
+    assert lines[1].startswith("warning: small skipped: sizes differ: left 170x96, right 170x96, truth 168x96")
+    assert lines[2].startswith("warning: swapped skipped: cameras look swapped")
     code, out, err = run(tmp_path / "swapped", "--matcher", "bm", *SMALL)
     assert (code, out) == (1, "")
-    assert err.startswith("error: nothing could be evaluated: swapped left out: cameras look swapped")
+    assert err.startswith("error: nothing could be evaluated: swapped skipped: cameras look swapped")
     assert err.count("\n") == 1
 
 
-def test_method_that_refuses_one_scene_is_skipped_there(run: Run, tmp_path: Path) -> None:
+def test_matcher_that_rejects_a_scene_is_skipped_there(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "one")
     window = ("--param", "correlation_window_size:=95", "--param", "prefilter_cap:=5")
     code, out, err = run(tmp_path / "one", "--matcher", "bm", *window, "--param", "disparity_range:=160")
     assert (code, out) == (1, "")
-    assert "one, bm left out: images of 170 x 96 px" in err and "lower disparity_range" in err
+    assert "one, bm skipped: images of 170 x 96 px" in err and "lower disparity_range" in err
 
 
 def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> None:
@@ -186,14 +186,16 @@ def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> N
     assert "P2 = 100 is not above P1" in error(
         tmp_path / "one", "--matcher", "sgbm", "-p", "P1:=200.0", "-p", "P2:=100.0"
     )
-    assert "none does not exist" in error(tmp_path / "none", "--matcher", "bm")
+    assert "none: does not exist" in error(tmp_path / "none", "--matcher", "bm")
     (tmp_path / "empty").mkdir()
     assert "empty: has no scene with truth" in error(tmp_path / "empty", "--matcher", "bm")
     for option in ("--json", "--csv"):
-        assert "there is no folder" in error(tmp_path / "one", "--matcher", "bm", option, tmp_path / "no" / "r")
-    assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--csv", tmp_path)
+        assert f"folder {tmp_path / 'no'} does not exist" in error(
+            tmp_path / "one", "--matcher", "bm", option, tmp_path / "no" / "r"
+        )
+    assert "cannot be written" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--csv", tmp_path)
     (tmp_path / "file").write_text("")
-    assert "cannot write" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--images", tmp_path / "file")
+    assert "cannot be written" in error(tmp_path / "one", "--matcher", "bm", *SMALL, "--plots", tmp_path / "file")
 
 
 def test_usage(run: Run, tmp_path: Path) -> None:
@@ -222,4 +224,4 @@ def test_tsukuba_and_cones_against_independent_figures(run: Run, stereo_data: Pa
     assert first["bad_2_all"] == pytest.approx(100 * ((wrong & matched).sum() + (known & ~matched).sum()) / known.sum())
     assert (second["scene"], second["occlusion"], second["disparity_range"]) == ("cones", "mask", 64)
     assert second["nonocc_bad_2_all"] < second["bad_2_all"] < 40
-    assert "cones: own mask" in out
+    assert "cones: mask of the dataset" in " ".join(out.split())

@@ -123,10 +123,8 @@ def test_points_agree_with_the_truth(cloud: PointCloud2, camera: StereoCamera) -
     assert np.mean(np.abs(disparity_px - truth_px) < 1) > 0.9
 
 
-def test_no_point_where_a_raw_camera_saw_nothing(
-    cloud: PointCloud2, camera: StereoCamera, images: tuple[U8, U8]
-) -> None:
-    """Raw principal points that lie left of the rectified ones: those cameras saw nothing of the first columns."""
+def test_no_points_outside_the_raw_images(cloud: PointCloud2, camera: StereoCamera, images: tuple[U8, U8]) -> None:
+    """Raw principal points that lie left of the rectified ones: the raw images do not cover the first columns."""
     unseen = {"left": 150, "right": 140}
     sent = messages(camera, images)
     for side, columns in unseen.items():
@@ -169,7 +167,7 @@ def test_lines_without_color(camera: StereoCamera, images: tuple[U8, U8]) -> Non
     np.testing.assert_allclose(rows, np.rint(rows), atol=1e-3)
 
 
-def test_nothing_to_see_is_an_empty_cloud(camera: StereoCamera) -> None:
+def test_images_without_features_give_an_empty_cloud(camera: StereoCamera) -> None:
     flat = np.full((300, 400), 90, np.uint8)
     empty = one_cloud(messages(camera, (flat, flat)), disparity_range=48)
     assert (empty.height, empty.width, len(empty.data), empty.is_dense) == (1, 0, 0, True)
@@ -186,7 +184,7 @@ def test_inputs_are_subscribed_while_the_output_is() -> None:
         assert graph.status().message == "ok"
 
 
-def test_bad_images_are_told_and_survived(camera: StereoCamera, images: tuple[U8, U8]) -> None:
+def test_bad_images_are_reported_and_survived(camera: StereoCamera, images: tuple[U8, U8]) -> None:
     with Graph(FeatureNode, parameters={"disparity_range": 48}) as graph:
         received = graph.listen(TOPIC, PointCloud2)
         small = (images[0][::2, ::2].copy(), images[1][::2, ::2].copy())
@@ -208,7 +206,7 @@ def test_parameters_change_while_running(camera: StereoCamera, images: tuple[U8,
         graph.wait(lambda: len(received) == 1, "cloud of corners")
         assert graph.set_parameter("feature_type", "lines", "feature_node").successful
         refused = graph.set_parameter("feature_type", "surf", "feature_node")
-        assert (refused.successful, "not one of sift, orb, lines" in refused.reason) == (False, True)
+        assert (refused.successful, "is not one of sift, orb, lines" in refused.reason) == (False, True)
         graph.send(messages(camera, images, STAMP_NS + 1))
         graph.wait(lambda: len(received) == 2, "cloud of lines")
     assert received[0].width != received[1].width

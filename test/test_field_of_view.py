@@ -49,6 +49,6 @@ def test_fisheyes_may_see_behind_themselves() -> None:
 
 
 @pytest.mark.parametrize(("model", "D"), [("plumb_bob", [-0.9, 0, 0, 0, 0]), ("equidistant", [-0.4, 0, 0, 0])])
-def test_where_the_lens_folds_there_is_no_field(model: str, D: list[float]) -> None:
+def test_beyond_the_distortion_range_there_is_no_field_of_view(model: str, D: list[float]) -> None:
     found = field_of_view(replace(BARE, distortion_model=model, D=np.array(D)))
     assert math.isnan(found.diagonal_deg)

@@ -30,7 +30,7 @@ LAUNCH_NAMES = {
 
 
 class Recorder:
-    """Stands for any class of ``launch``: keeps what it was made of."""
+    """Replaces any class of ``launch`` and keeps its arguments."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self.args, self.kwargs = args, kwargs
@@ -150,7 +150,7 @@ def test_parameters_are_those_of_the_stages_with_their_types(entities: list[Any]
     ("launch_image_proc", "asked", "expected"),
     [("true", "compressed", "raw"), ("True", "compressed", "raw"), ("false", "compressed", "compressed")],
 )
-def test_compressed_is_asked_of_the_cameras_only(
+def test_compressed_is_requested_of_the_cameras_only(
     entities: list[Any], launch_image_proc: str, asked: str, expected: str
 ) -> None:
     (parameters,) = nodes_of(entities)["disparity_node"].kwargs["parameters"]

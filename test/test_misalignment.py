@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the right camera has moved: points seen by one that has moved by known amounts, and real images turned."""
+"""Misalignment of the right camera: points of a camera moved by known amounts, and rotated real images."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def moved(w_deg: F64 | list[float], scale: float = 0.0) -> tuple[F64, float]:
 
 
 def frame(seed: int, w: F64, scale: float = 0.0, count: int = 300, noise_px: float = 0.15) -> RowMatches:
-    """What a rectified pair shows when the rays of the right camera have turned by w and f has grown."""
+    """Row matches of a rectified pair when the rays of the right camera have rotated by w and f has changed."""
     random = np.random.default_rng(seed)
     left = random.uniform((40, 5), (635, 425), (count, 2))
     depth_m = random.uniform(0.7, 12, count)
@@ -65,7 +65,7 @@ def test_without_noise_it_is_exact(w_deg: list[float], scale: float) -> None:
     assert found.residual_px < 1e-4
 
 
-def test_what_is_reported_of_the_rows() -> None:
+def test_row_errors_are_reported() -> None:
     found = estimate(np.radians([0.4, 0, 0]), frames=4, noise_px=0.1)
     expected_px = -RIG.fy_px * np.tan(np.radians(0.4))
     assert found.shift_px == pytest.approx(expected_px, abs=0.05)
@@ -74,7 +74,7 @@ def test_what_is_reported_of_the_rows() -> None:
     assert found.row_median_px == pytest.approx(np.median(np.abs(errors)))
     assert found.row_rms_px == pytest.approx(np.sqrt(np.mean(errors**2)))
     assert (found.matches, found.frames) == (1200, 4)
-    # Of both images' noise the rows keep the vertical part
+    # Row errors contain the vertical part of the noise of both images
     assert found.residual_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
 
 
@@ -88,7 +88,7 @@ def test_errors_fall_as_the_root_of_the_number() -> None:
         return rms
 
     ratios = error(100) / error(400)
-    # Each is the ratio of two deviations of 24 draws, which is known to about 20 %
+    # Ratios of two standard deviations of 24 draws are known to about 20 %
     assert (np.abs(ratios - 2) < 0.9).all()
     assert ratios.mean() == pytest.approx(2, rel=0.2)
 
@@ -98,13 +98,13 @@ def test_standard_deviations_are_those_of_many_draws() -> None:
     draws = [estimate(w, 0.001, frames=12, seed=seed) for seed in range(40)]
     found = np.array([[*each.rotation_deg, each.scale] for each in draws])
     told = np.array([[*each.rotation_sigma_deg, each.scale_sigma] for each in draws]).mean(axis=0)
-    # The larger of two estimates is told, which is a little too careful
+    # The larger of two estimates is used, which is slightly conservative
     assert (told / found.std(axis=0) > 0.75).all()
     assert (told / found.std(axis=0) < 1.6).all()
 
 
-def test_frames_that_are_off_together_are_not_counted_as_many_matches() -> None:
-    """Row errors that all matches of a frame share, another one in each frame, do not average out within the frame."""
+def test_errors_common_to_a_frame_are_not_averaged_as_independent() -> None:
+    """Row errors common to all matches of a frame, different in each frame, do not average out within the frame."""
     random = np.random.default_rng(0)
     estimator, found = MisalignmentEstimator(RIG), None
     for k in range(16):
@@ -116,7 +116,7 @@ def test_frames_that_are_off_together_are_not_counted_as_many_matches() -> None:
     assert found.rotation_sigma_deg[0] == pytest.approx(pitch_sigma, rel=0.5)
 
 
-def test_wrong_matches_do_little() -> None:
+def test_outliers_have_little_influence() -> None:
     w = np.radians([0.3, 0.2, -0.2])
     estimator, found = MisalignmentEstimator(RIG), None
     for k in range(6):
@@ -128,7 +128,7 @@ def test_wrong_matches_do_little() -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_turn_is_significant_and_nothing_else(axis: int) -> None:
+def test_only_the_rotation_is_significant(axis: int) -> None:
     w = np.zeros(3)
     w[axis] = np.radians(0.3)
     found = estimate(w, reference=0.0)
@@ -136,12 +136,12 @@ def test_a_turn_is_significant_and_nothing_else(axis: int) -> None:
     assert found.detected
 
 
-def test_nothing_is_detected_where_nothing_is() -> None:
+def test_an_aligned_rig_is_not_detected() -> None:
     for seed in range(20):
         assert not estimate(np.zeros(3), frames=3, seed=seed, count=60).detected
 
 
-def test_small_turns_are_told_and_not_significant() -> None:
+def test_small_rotations_are_reported_and_not_significant() -> None:
     found = estimate(np.radians([0.02, 0, 0]), frames=20)
     assert found.rotation_deg[0] == pytest.approx(0.02, abs=0.005)
     assert not found.detected
@@ -151,7 +151,7 @@ def test_scale_is_significant() -> None:
     assert estimate(np.zeros(3), 0.006).significant == ("scale",)
 
 
-def test_yaw_says_something_only_beside_that_of_the_healthy_rig() -> None:
+def test_yaw_is_significant_only_relative_to_the_reference() -> None:
     w = np.radians([0, 0.5, 0])
     assert not estimate(w).detected
     assert estimate(w).rotation_deg[1] == pytest.approx(0.5, abs=0.05)
@@ -178,7 +178,7 @@ def test_frames_without_matches_do_no_harm() -> None:
     assert found.rotation_deg[0] == pytest.approx(0.3, abs=0.02)
 
 
-def test_old_frames_are_forgotten() -> None:
+def test_old_frames_are_discarded() -> None:
     estimator = MisalignmentEstimator(RIG)
     for k in range(20):
         estimator.add(frame(k, np.radians([0.6, 0, 0])))
@@ -208,7 +208,7 @@ def rectified(points_px: F64, rig: StereoRig) -> F64:
 
 @dataclass(frozen=True)
 class Turned:
-    """Raw right points of a camera that has turned since, and where they should be rectified to."""
+    """Raw right points of a camera that has rotated, and their true rectified points."""
 
     raw_px: F64
     true_px: F64
@@ -233,7 +233,7 @@ def test_corrected_rig_rectifies_to_the_true_points() -> None:
     assert corrected.left is rig.left
 
 
-def test_yaw_of_the_healthy_rig_stays() -> None:
+def test_the_reference_yaw_is_kept() -> None:
     rig = raw_rig()
     found = replace(estimate(np.zeros(3)), rotation_deg=np.array([0.2, 0.7, 0.1]), scale=0.0)
     unknown, known = corrected_rig(rig, found), corrected_rig(rig, found, reference_yaw_deg=0.5)
@@ -252,24 +252,26 @@ def test_scale_is_corrected() -> None:
 
 def test_corrections_have_limits() -> None:
     found = estimate(np.zeros(3))
-    with pytest.raises(CalibrationError, match=r"turned by 1\.200 degrees, corrected are up to 1: .*calibrate again"):
+    with pytest.raises(
+        CalibrationError, match=r"rotated by 1\.200 degrees, limit of a correction 1: .*calibrate again"
+    ):
         corrected_rig(RIG, replace(found, rotation_deg=np.array([0.1, -1.2, 0.0])), reference_yaw_deg=0.0)
-    with pytest.raises(CalibrationError, match=r"changed by -2\.00 %, corrected are up to 1 %"):
+    with pytest.raises(CalibrationError, match=r"changed by -2\.00 %, limit of a correction 1 %"):
         corrected_rig(RIG, replace(found, rotation_deg=np.zeros(3), scale=-0.02))
-    with pytest.raises(CalibrationError, match=r"corrected are up to 0\.05"):
+    with pytest.raises(CalibrationError, match=r"limit of a correction 0\.05"):
         corrected_rig(RIG, replace(found, rotation_deg=np.array([0.1, 0, 0])), CorrectionLimits(rotation_deg=0.05))
 
 
 @dataclass(frozen=True)
 class Street:
-    """A real sequence, and what the first half of it says of the rig as it is."""
+    """A real sequence, and the misalignment estimated from its first half."""
 
     rig: StereoRig
     pairs: list[tuple[U8, U8]]
-    healthy: Misalignment
+    reference: Misalignment
 
     def turned(self, axis: int, degrees: float) -> list[tuple[U8, U8]]:
-        """The second half with the right images turned."""
+        """The second half with the right images rotated."""
         w, K = np.zeros(3), self.rig.right.P[:, :3]
         w[axis] = np.radians(degrees)
         H = K @ cv2.Rodrigues(w)[0] @ np.linalg.inv(K)
@@ -292,7 +294,7 @@ def follow(estimator: MisalignmentEstimator, pairs: list[tuple[U8, U8]]) -> list
 
 
 def density_and_rows(rig: StereoRig, pairs: list[tuple[U8, U8]]) -> tuple[float, float]:
-    """Share of pixels with a disparity, and median row error, px, of pairs whose right images the rig rectifies."""
+    """Share of pixels with a disparity, and median row error, px, of pairs rectified with the rig."""
     rectifier, matcher = Rectifier(rig), create_matcher("sgm", MatchingConfig(num_disparities=128))
     densities, errors = [], []
     for left, right in pairs[::3]:
@@ -306,31 +308,33 @@ def density_and_rows(rig: StereoRig, pairs: list[tuple[U8, U8]]) -> tuple[float,
 @pytest.mark.parametrize(
     ("axis", "degrees", "tolerance_deg"), [(0, 0.3, 0.03), (1, 0.3, 0.1), (1, -0.3, 0.1), (2, 0.3, 0.03)]
 )
-def test_a_street_with_the_right_camera_turned(street: Street, axis: int, degrees: float, tolerance_deg: float) -> None:
-    """Detected within 20 frames, estimated, and corrected: density and rows as they were, to 5 %."""
-    reference = float(street.healthy.rotation_deg[1])
+def test_a_street_with_the_right_camera_rotated(
+    street: Street, axis: int, degrees: float, tolerance_deg: float
+) -> None:
+    """Detected within 20 frames, estimated, and corrected: density and row errors as before, to 5 %."""
+    reference = float(street.reference.rotation_deg[1])
     pairs = street.turned(axis, degrees)
     told = follow(MisalignmentEstimator(street.rig, reference), pairs)
     found = told[-1]
     assert found is not None
     assert any(each is not None and NAMES[axis] in each.significant for each in told)
-    assert abs(found.rotation_deg[axis] - street.healthy.rotation_deg[axis] - degrees) <= tolerance_deg
+    assert abs(found.rotation_deg[axis] - street.reference.rotation_deg[axis] - degrees) <= tolerance_deg
     density, row_px = density_and_rows(street.rig, street.pairs[10:])
     corrected = corrected_rig(street.rig, found, reference_yaw_deg=reference)
     density_again, row_again_px = density_and_rows(corrected, pairs)
     assert density_again == pytest.approx(density, rel=0.05)
     assert row_again_px == pytest.approx(row_px, rel=0.05)
-    if degrees > 0:  # the other way round a yaw lessens the keystone that this rig has
+    if degrees > 0:  # in the other direction a yaw reduces the keystone of this rig
         disturbed_density, disturbed_row_px = density_and_rows(street.rig, pairs)
         assert disturbed_density < 0.95 * density
         assert disturbed_row_px > 1.05 * row_px
 
 
 @pytest.mark.real_data
-def test_a_street_as_it_is(street: Street) -> None:
-    """Nothing has moved in the second half, beside the yaw of the first one, or where nobody knows that."""
-    for reference in (float(street.healthy.rotation_deg[1]), None):
+def test_an_unchanged_street(street: Street) -> None:
+    """Nothing is detected in the second half, relative to the yaw of the first one or without a reference."""
+    for reference in (float(street.reference.rotation_deg[1]), None):
         told = follow(MisalignmentEstimator(street.rig, reference), street.pairs[10:])
         assert told[-1] is not None
         assert not any(each is not None and each.detected for each in told)
-    assert street.healthy.rotation_deg[1] == pytest.approx(0.55, abs=0.1)  # a keystone that its calibration has
+    assert street.reference.rotation_deg[1] == pytest.approx(0.55, abs=0.1)  # a keystone of the published calibration

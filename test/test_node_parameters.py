@@ -168,7 +168,9 @@ def test_matcher_that_lacks_something_is_refused_and_the_old_one_stays(running: 
         ("image_transport", "compressed", "(?i)read-only"),
     ],
 )
-def test_refused_change_says_why_and_leaves_the_value(running: Disparities, name: str, value: Any, reason: str) -> None:
+def test_refused_change_has_a_reason_and_keeps_the_value(
+    running: Disparities, name: str, value: Any, reason: str
+) -> None:
     before = running.next()
     old = running.graph.nodes[0].get_parameter(name).value
     result = running.graph.set_parameter(name, value)
@@ -192,7 +194,7 @@ def test_penalties_must_ascend_for_sgbm_only(running: Disparities) -> None:
     assert valid_fraction(running.next()) > 0.3
 
 
-def test_atomic_change_is_taken_or_refused_as_a_whole(running: Disparities) -> None:
+def test_atomic_change_is_accepted_or_refused_as_a_whole(running: Disparities) -> None:
     def change(**values: Any) -> Any:
         parameters = [Parameter(name=name, value=parameter_value(value)) for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
@@ -213,7 +215,7 @@ def running_doffs(message: DisparityImage) -> float:
     return -float(message.min_disparity)
 
 
-def test_change_that_the_images_are_too_small_for_is_told_and_can_be_undone(running: Disparities) -> None:
+def test_change_that_needs_larger_images_is_reported_and_can_be_undone(running: Disparities) -> None:
     graph = running.graph
     before = running.next()
     assert graph.set_parameter("stereo_algorithm", 0).successful
@@ -245,7 +247,7 @@ def test_change_that_the_images_are_too_small_for_is_told_and_can_be_undone(runn
             {"qos_overrides./left/image_rect.subscription.reliability": "relable"},
             {},
             ConfigError,
-            r"left/image_rect\.subscription\.reliability = 'relable' is none of .*reliable, best_effort",
+            r"left/image_rect\.subscription\.reliability = 'relable' is not one of .*reliable, best_effort",
         ),
         ({}, {"right/camera_info": "left/camera_info"}, TopicError, "left/camera_info and right/camera_info are both"),
     ],
@@ -301,7 +303,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], list[str], str]] = {
         ros_arguments(remaps={"right/image_rect": "left/image_rect"}),
         "left/image_rect and right/image_rect are both /left/image_rect: remap them to different topics",
     ),
-    "ROS argument": ({}, ["--ros-args", "-p", "min_disparity"], "check what stands behind --ros-args"),
+    "ROS argument": ({}, ["--ros-args", "-p", "min_disparity"], "check the arguments after --ros-args"),
 }
 
 

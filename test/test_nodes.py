@@ -50,7 +50,7 @@ def camera() -> StereoCamera:
 
 
 def one_pair(graph: Graph, messages: dict[str, Any], outputs: dict[str, Any]) -> dict[str, Any]:
-    """What comes on the outputs after one pair; nothing comes twice."""
+    """Messages of the outputs after one pair; none arrives twice."""
     received = {topic: graph.listen(topic, kind) for topic, kind in outputs.items()}
     infos = {topic: message for topic, message in messages.items() if topic.endswith("camera_info")}
     graph.send(infos, subscribers=len(graph.nodes))
@@ -161,7 +161,7 @@ def test_color_image_colors_the_cloud(camera: StereoCamera) -> None:
     np.testing.assert_array_equal(cloud_values(cloud, "rgb", "<u4"), red << 16 | green << 8 | blue)
 
 
-def test_depth_in_millimetres(fused: dict[str, Any], camera: StereoCamera) -> None:
+def test_depth_in_millimeters(fused: dict[str, Any], camera: StereoCamera) -> None:
     with Graph(StereoDepthNode, parameters={**PARAMETERS, "depth_encoding": "16UC1"}) as graph:
         message = one_pair(graph, camera.pair(STAMP_NS), {"depth/image_rect": Image})["depth/image_rect"]
     assert message.encoding == "16UC1"
@@ -181,7 +181,7 @@ def test_separate_nodes_give_the_bytes_of_the_fused_node(fused: dict[str, Any], 
     assert received["points2"].data == fused["points2"].data
 
 
-def test_rectify_node_publishes_both_eyes_in_gray_and_color(camera: StereoCamera) -> None:
+def test_rectify_node_publishes_both_cameras_in_gray_and_color(camera: StereoCamera) -> None:
     topics = [f"{side}/{image}" for side in ("left", "right") for image in ("image_rect", "image_rect_color")]
     with Graph(RectifyNode) as graph:
         received = one_pair(graph, camera.pair(STAMP_NS, encoding="rgb8"), dict.fromkeys(topics, Image))
@@ -224,8 +224,8 @@ def test_inputs_are_subscribed_while_an_output_is(node_type: Any, output: str, i
 
 
 @pytest.mark.parametrize("later_ns", [30 * NS_PER_S, 0, -NS_PER_S // 2])
-def test_frames_flow_again_after_a_pause(camera: StereoCamera, later_ns: int) -> None:
-    """The same bag may be played again: its stamps are not late, and its camera infos are awaited anew."""
+def test_frames_are_processed_again_after_a_pause(camera: StereoCamera, later_ns: int) -> None:
+    """The same bag may be played again: its stamps are not late, and its camera infos are awaited again."""
     with Graph(StereoDepthNode, parameters=PARAMETERS) as graph:
         one_pair(graph, camera.pair(STAMP_NS), {"points2": PointCloud2})
         graph.stop_listening("points2")
@@ -299,7 +299,7 @@ def test_namespace_and_remapping(fused: dict[str, Any], camera: StereoCamera) ->
     assert cloud.data == fused["points2"].data
 
 
-def test_diagnostics_come_every_second_with_counters_and_timings(camera: StereoCamera) -> None:
+def test_diagnostics_are_published_every_second_with_counters_and_timings(camera: StereoCamera) -> None:
     with Graph(StereoDepthNode, parameters=PARAMETERS) as graph:
         one_pair(graph, camera.pair(STAMP_NS), {"points2": PointCloud2})
         graph.diagnostics.clear()
@@ -310,7 +310,7 @@ def test_diagnostics_come_every_second_with_counters_and_timings(camera: StereoC
     assert values["paired"] == "1"
     stages = ("rectify", "match", "make points2", "send points2")
     assert all(float(values[f"{stage} p95 ms"]) >= float(values[f"{stage} p50 ms"]) > 0 for stage in stages)
-    assert "make disparity p50 ms" not in values  # nobody wants it
+    assert "make disparity p50 ms" not in values  # has no subscriber
 
 
 NODES = ("stereo_depth_node", "rectify_node", "disparity_node", "point_cloud_node", "depth_node")

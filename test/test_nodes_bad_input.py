@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bad input: the node lives on, publishes nothing for it, says once what is wrong and what to do, and counts it."""
+"""Bad input: the node continues, publishes nothing for it, reports the fault and the remedy once, and counts it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def wait_for_pairs(graph: Graph, count: int) -> None:
 
 @dataclass(frozen=True)
 class Case:
-    """A way to spoil the messages of a pair, what the node says to it and where it counts it."""
+    """A fault in the messages of a pair, the error that the node reports and the counter."""
 
     name: str
     spoil: Callable[[Messages], None]
@@ -219,7 +219,7 @@ INFO_CASES = (
 
 
 @pytest.mark.parametrize("case", IMAGE_CASES + INFO_CASES, ids=lambda case: case.name)
-def test_bad_pair_is_told_counted_and_survived(case: Case, camera: StereoCamera) -> None:
+def test_bad_pair_is_reported_counted_and_survived(case: Case, camera: StereoCamera) -> None:
     with Graph(StereoDepthNode, parameters=SMALL) as graph:
         received = graph.listen("disparity", DisparityImage)
         graph.send(camera.pair(FIRST_NS))
@@ -234,14 +234,14 @@ def test_bad_pair_is_told_counted_and_survived(case: Case, camera: StereoCamera)
         graph.wait(lambda: len(received) > 1, "disparity of the pair after the bad ones")
         assert [stamp_ns(message) for message in received] == [FIRST_NS, NEXT_NS]
         assert received[1].image.data == received[0].image.data
-        assert len(graph.errors(".")) == 1, "three times the same is told once"
+        assert len(graph.errors(".")) == 1, "the same error three times is reported once"
         assert graph.counter(case.counts) - before >= 3
         status = graph.status()
         assert status.level == DiagnosticStatus.ERROR
         assert re.search(case.says, status.message)
 
 
-def test_bad_calibration_at_the_start_is_told_and_survived(camera: StereoCamera) -> None:
+def test_bad_calibration_at_the_start_is_reported_and_survived(camera: StereoCamera) -> None:
     with Graph(StereoDepthNode, parameters=SMALL) as graph:
         received = graph.listen("disparity", DisparityImage)
         messages = camera.pair(BAD_NS)
@@ -255,7 +255,7 @@ def test_bad_calibration_at_the_start_is_told_and_survived(camera: StereoCamera)
 
 
 @pytest.mark.parametrize("node_type", [StereoDepthNode, DisparityNode])
-def test_swapped_pictures_at_the_start_are_told_and_survived(node_type: Any, camera: StereoCamera) -> None:
+def test_swapped_images_at_the_start_are_reported_and_survived(node_type: Any, camera: StereoCamera) -> None:
     # Rectified images of the disparity node's topics; the fused node takes raw ones.
     image = "image_raw" if node_type is StereoDepthNode else "image_rect"
     with Graph(node_type, parameters=SMALL) as graph:
@@ -288,8 +288,8 @@ def test_images_wait_for_their_camera_infos(camera: StereoCamera) -> None:
         for frame in range(3):
             graph.send(camera.images(FIRST_NS + frame))
             wait_for_pairs(graph, frame + 1)
-        said = graph.wait_error("images arrive, but nothing yet on")
-        assert said.endswith("on /left/camera_info, /right/camera_info: publish camera infos, or remap them")
+        error = graph.wait_error("images arrive, but no message on")
+        assert error.endswith("on /left/camera_info, /right/camera_info: publish camera infos, or remap them")
         graph.send(camera.infos(FIRST_NS))
         graph.wait(lambda: len(received) == 2, "disparities of the two pairs that waited")
         assert [stamp_ns(message) for message in received] == [FIRST_NS + 1, FIRST_NS + 2]
@@ -430,7 +430,7 @@ def test_bad_input_of_one_stage(case: StageCase, camera: StereoCamera, disparity
 
 
 def stream(graph: Graph, camera: StereoCamera, left_ns: list[int], right_ns: list[int]) -> None:
-    """Sends images of these stamps, camera by camera in turn."""
+    """Sends images of these stamps, alternating between the cameras."""
     for i in range(max(len(left_ns), len(right_ns))):
         for topic, stamps in ((LEFT, left_ns), (RIGHT, right_ns)):
             if i < len(stamps):
@@ -476,7 +476,7 @@ def test_lost_late_and_repeated_frames_are_counted(
         assert {name: graph.counter(name) for name in counters} == counters
 
 
-def test_stamps_that_go_back_begin_anew(camera: StereoCamera) -> None:
+def test_pairing_restarts_after_stamps_that_go_back(camera: StereoCamera) -> None:
     with Graph(StereoDepthNode, parameters=SMALL) as graph:
         received = graph.listen("disparity", DisparityImage)
         stamps = [NEXT_NS, NEXT_NS + NS_PER_S, BAD_NS, BAD_NS + NS_PER_S]
@@ -485,9 +485,9 @@ def test_stamps_that_go_back_begin_anew(camera: StereoCamera) -> None:
             wait_for_pairs(graph, count)
         graph.wait(lambda: len(received) == len(stamps), f"{len(stamps)} disparities")
         assert [stamp_ns(message) for message in received] == stamps
-        said = graph.wait_error("/left/image_raw, /right/image_raw: stamps went backwards")
-        assert "pairing begins anew" in said
-        assert said.endswith("check the clock of the camera driver")
+        error = graph.wait_error("/left/image_raw, /right/image_raw: stamps went backwards")
+        assert "waiting messages were dropped" in error
+        assert error.endswith("check the clock of the camera driver")
         assert graph.counter("stamps went backwards") == 1
         assert graph.counter("paired") == 4
 
@@ -495,11 +495,11 @@ def test_stamps_that_go_back_begin_anew(camera: StereoCamera) -> None:
 @pytest.mark.parametrize(
     ("advertised", "remedy"),
     [
-        (False, "nobody publishes it: start the camera or remap the topic"),
-        (True, r"1 publisher\(s\) are there: check their QoS and that they send"),
+        (False, "no publisher: start the camera or remap the topic"),
+        (True, r"1 publisher\(s\): check their QoS and that they publish"),
     ],
 )
-def test_silent_eye_is_named(
+def test_silent_camera_is_named(
     camera: StereoCamera, monkeypatch: pytest.MonkeyPatch, advertised: bool, remedy: str
 ) -> None:
     monkeypatch.setattr(base, "_SILENCE_S", 0.25)
@@ -521,7 +521,7 @@ def test_silent_eye_is_named(
         graph.wait(lambda: received, "disparity once both cameras see")
 
 
-def test_silence_is_told_after_a_whole_interval_only(camera: StereoCamera, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silence_is_reported_after_a_whole_interval_only(camera: StereoCamera, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(base, "_SILENCE_S", 0.6)
     with Graph(StereoDepthNode, parameters=SMALL) as graph:
         graph.spin(0.4)
@@ -537,8 +537,8 @@ def test_qos_that_cannot_match_is_named_and_can_be_overridden(camera: StereoCame
     with Graph(StereoDepthNode, parameters={**SMALL, override: "reliable"}) as graph:
         graph.advertise(LEFT, Image, reliable=False)
         received = graph.listen("disparity", DisparityImage)
-        said = graph.wait_error("^/left/image_raw: a publisher offers less RELIABILITY than is asked for")
-        assert said.endswith(f"change the publisher, or set {override}")
+        error = graph.wait_error("^/left/image_raw: a publisher offers less RELIABILITY than is requested")
+        assert error.endswith(f"change the publisher, or set {override}")
         assert graph.counter("incompatible qos left/image_raw") == 1
         graph.withdraw(LEFT)
         graph.send(camera.pair(FIRST_NS))  # this publisher is reliable

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nobody has set anything: every frame of a camera becomes a cloud and a disparity at a best-effort subscriber."""
+"""Default settings: every frame of a camera becomes a cloud and a disparity at a best-effort subscriber."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ deadline = time.monotonic() + 40
 while not all(publisher.get_subscription_count() for publisher in publishers.values()):
     assert time.monotonic() < deadline, "the node has not subscribed within 40 s"
     time.sleep(0.02)
-time.sleep(1.0)  # until the node knows the camera, too
+time.sleep(1.0)  # until the node has discovered the camera too
 start = time.monotonic()
 for number in range(1, frames + 1):
     time.sleep(max(0.0, start + number / rate_hz - time.monotonic()))
@@ -109,7 +109,7 @@ def environment(domain: int) -> dict[str, str]:
 
 @contextmanager
 def running(*arguments: str, log: Path, domain: int) -> Iterator[subprocess.Popen[str]]:
-    """A Python process: what it prints in a pipe, what it says besides in ``log``."""
+    """A Python process with stdout in a pipe and stderr in ``log``."""
     with log.open("w") as errors:
         process = subprocess.Popen(
             [sys.executable, *arguments], env=environment(domain), text=True, stdout=subprocess.PIPE, stderr=errors

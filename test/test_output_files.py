@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written: nothing that is read or there is lost, nothing half written shows."""
+"""Output files: inputs and existing files are protected, and incomplete files do not appear."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stereo_depth_ros.files.output import OutputFile, check_outputs, write_file
 
 @pytest.fixture
 def small_disk() -> Iterator[None]:
-    """No file of this process may have more than 10 000 bytes."""
+    """Files of this process are limited to 10 000 bytes."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, before[1]))
     yield
@@ -30,7 +30,7 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_the_name_appears_with_the_whole_content(tmp_path: Path) -> None:
+def test_file_appears_when_it_is_complete(tmp_path: Path) -> None:
     with OutputFile(tmp_path / "a") as output:
         output.file.write(b"one")
         output.file.flush()
@@ -40,7 +40,7 @@ def test_the_name_appears_with_the_whole_content(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == b"one"
 
 
-def test_no_two_temporary_names_are_the_same(tmp_path: Path) -> None:
+def test_temporary_names_are_unique(tmp_path: Path) -> None:
     outputs = [OutputFile(tmp_path / "a") for _ in range(10)]
     assert len(set(names(tmp_path))) == 10
     assert all(len(name) > 16 for name in names(tmp_path))
@@ -50,7 +50,7 @@ def test_no_two_temporary_names_are_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
-def test_permissions_are_those_of_a_file_that_is_opened(tmp_path: Path, mask: int) -> None:
+def test_permissions_follow_the_umask(tmp_path: Path, mask: int) -> None:
     before = os.umask(mask)
     try:
         write_file(tmp_path / "a", "text")
@@ -60,7 +60,7 @@ def test_permissions_are_those_of_a_file_that_is_opened(tmp_path: Path, mask: in
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, SystemExit])
-def test_an_end_by_an_exception_leaves_what_was_there(tmp_path: Path, error: type[BaseException]) -> None:
+def test_exception_keeps_the_existing_file(tmp_path: Path, error: type[BaseException]) -> None:
     (tmp_path / "a").write_text("old")
     with pytest.raises(error), OutputFile(tmp_path / "a", overwrite=True) as output:
         output.file.write(b"new")
@@ -69,16 +69,16 @@ def test_an_end_by_an_exception_leaves_what_was_there(tmp_path: Path, error: typ
     assert (tmp_path / "a").read_text() == "old"
 
 
-def test_an_output_that_nobody_finishes_leaves_nothing(tmp_path: Path) -> None:
+def test_unfinished_output_is_removed(tmp_path: Path) -> None:
     output = OutputFile(tmp_path / "a")
     output.file.write(b"one")
     del output
     assert names(tmp_path) == []
 
 
-def test_what_is_there_is_replaced_when_asked_only(tmp_path: Path) -> None:
+def test_existing_file_is_replaced_with_overwrite_only(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("old")
-    with pytest.raises(OutputError, match=r"a exists: remove it, write to another file, or give --overwrite"):
+    with pytest.raises(OutputError, match=r"a: already exists: remove it, write to another file, or allow overwriting"):
         write_file(tmp_path / "a", "new")
     assert (tmp_path / "a").read_text() == "old"
     write_file(tmp_path / "a", "new", overwrite=True)
@@ -87,7 +87,7 @@ def test_what_is_there_is_replaced_when_asked_only(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("hard_links", [True, False])
-def test_what_appears_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hard_links: bool) -> None:
+def test_file_created_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hard_links: bool) -> None:
     if not hard_links:
 
         def refuse(*_: object) -> None:
@@ -107,15 +107,15 @@ def test_what_appears_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.Monk
 def test_links_are_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "good").write_text("good")
     (tmp_path / "link").symlink_to("good")
-    with pytest.raises(OutputError, match="link exists"):
+    with pytest.raises(OutputError, match="link: already exists"):
         write_file(tmp_path / "link", "new")
     write_file(tmp_path / "link", "new", overwrite=True)
     assert (tmp_path / "good").read_text() == "good"
     assert (tmp_path / "link").read_text() == "new"
     (tmp_path / "nowhere").symlink_to("none")
-    with pytest.raises(OutputError, match="nowhere exists"):
+    with pytest.raises(OutputError, match="nowhere: already exists"):
         write_file(tmp_path / "nowhere", "new")
-    # the temporary name was guessed and a link waits there
+    # an attacker guessed the temporary name and put a link there
     monkeypatch.setattr(output_files.secrets, "token_hex", lambda count: "guessed")
     (tmp_path / ".guessed.partial").symlink_to("good")
     with pytest.raises(OutputError, match="File exists"):
@@ -123,30 +123,30 @@ def test_links_are_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert (tmp_path / "good").read_text() == "good"
 
 
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, small_disk: None) -> None:
+def test_full_disk_is_reported_and_leaves_nothing(tmp_path: Path, small_disk: None) -> None:
     (tmp_path / "a").write_text("old")
-    with pytest.raises(OutputError, match=r"cannot write .*a: File too large: make room on the disk"):
+    with pytest.raises(OutputError, match=r"/a: cannot be written: File too large: free space on the disk"):
         write_file(tmp_path / "a", b"1" * 20_000, overwrite=True)
     assert names(tmp_path) == ["a"]
     assert (tmp_path / "a").read_text() == "old"
 
 
-def test_a_device_is_written_as_it_is() -> None:
+def test_device_is_written_directly() -> None:
     write_file(Path(os.devnull), "text", overwrite=True)
     assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
     check_outputs((), reports=[Path(os.devnull), Path(os.devnull)])
-    with pytest.raises(OutputError, match="No space left on device: make room on the disk"):
+    with pytest.raises(OutputError, match=r"/dev/full: cannot be written: No space .*: free space on the disk"):
         write_file(Path("/dev/full"), "text")
 
 
-def test_folders_are_made_when_asked_only(tmp_path: Path) -> None:
+def test_folders_are_created_with_make_folders_only(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="No such file or directory"):
         write_file(tmp_path / "x" / "y" / "a", "text")
     write_file(tmp_path / "x" / "y" / "a", "text", make_folders=True)
     assert (tmp_path / "x" / "y" / "a").read_text() == "text"
 
 
-def test_an_input_under_any_name_is_no_output(tmp_path: Path) -> None:
+def test_input_under_any_name_is_refused(tmp_path: Path) -> None:
     read = tmp_path / "in"
     read.write_text("in")
     (tmp_path / "soft").symlink_to("in")
@@ -154,7 +154,7 @@ def test_an_input_under_any_name_is_no_output(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     for name in ("in", "soft", "hard", "folder/../in"):
         for overwrite in (False, True):
-            with pytest.raises(OutputError, match=r"is read by this command: write to another file"):
+            with pytest.raises(OutputError, match=r"would overwrite an input: write to another file"):
                 check_outputs([tmp_path / name], [tmp_path / "none", read], overwrite=overwrite)
     check_outputs([tmp_path / "other"], [read])
 
@@ -162,18 +162,33 @@ def test_an_input_under_any_name_is_no_output(tmp_path: Path) -> None:
 def test_outputs_are_checked_before_anything_is_written(tmp_path: Path) -> None:
     (tmp_path / "there").write_text("old")
     for outputs, reports, text in (
-        ([tmp_path / "there"], [], "there exists: .* --overwrite"),
-        ([], [tmp_path / "there"], "there exists: .* --overwrite"),
+        ([tmp_path / "there"], [], "there: already exists: .*allow overwriting"),
+        ([], [tmp_path / "there"], "there: already exists: .*allow overwriting"),
         ([tmp_path], [], "it is a folder"),
-        ([tmp_path / "there" / "a"], [], "cannot write .*there/a"),
-        ([], [tmp_path / "none" / "a"], "there is no folder .*none: make it, or name another"),
-        ([tmp_path / "a"], [tmp_path / "x" / ".." / "a"], "no folder"),
-        ([tmp_path / "a"], [tmp_path / "a"], "a is named for two outputs"),
+        ([tmp_path / "there" / "a"], [], "there/a: cannot be written"),
+        (
+            [],
+            [tmp_path / "none" / "a"],
+            "none/a: cannot be written: folder .*none does not exist: create it, or",
+        ),
+        ([tmp_path / "a"], [tmp_path / "x" / ".." / "a"], "folder .* does not exist"),
+        ([tmp_path / "a"], [tmp_path / "a"], "a: two outputs have this name: give each a different name"),
         ([tmp_path / ("a" * 300)], [], "File name too long"),
-        ([Path("/proc/none/a")], [], "cannot write /proc/none/a"),
+        ([Path("/proc/none/a")], [], "/proc/none/a: cannot be written"),
     ):
         with pytest.raises(OutputError, match=text):
             check_outputs(outputs, reports=reports)
     check_outputs([tmp_path / "new" / "folder" / "a"], reports=[None, Path("-"), tmp_path / "b"])
     check_outputs([tmp_path / "there"], overwrite=True)
     assert names(tmp_path) == ["there"]
+
+
+def test_errors_carry_their_fields(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("old")
+    with pytest.raises(OutputError) as caught:
+        write_file(tmp_path / "a", "new")
+    assert (caught.value.subject, caught.value.settings) == (str(tmp_path / "a"), ("overwrite",))
+    assert "--" not in str(caught.value)
+    with pytest.raises(OutputError) as caught:
+        check_outputs([tmp_path])
+    assert (caught.value.subject, caught.value.remedy) == (str(tmp_path), "name a file")

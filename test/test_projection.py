@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Projection through lenses: derivatives, the way back, and where a lens folds."""
+"""Projection by lens models: Jacobians, and the distortion range."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from rendered_boards import RIGS, SIZE, chessboard_points, poses
 from stereo_depth_ros.calibration.projection import (
     MODELS,
     check_model,
+    distortion_range_px,
     parameter_names,
     project,
-    rectified_points,
-    turning_radius_px,
 )
 from stereo_depth_ros.core.errors import ConfigError
 
@@ -31,27 +30,13 @@ def test_derivatives_are_those_of_the_projection(model: str) -> None:
         step[number] = 1e-4 * max(abs(rig.left[number]), 0.1)
         ahead, behind = (project(model, rig.left + sign * step, pose, BOARD_M).image_px for sign in (1, -1))
         numeric = ((ahead - behind) / (2 * step[number])).ravel()
-        np.testing.assert_allclose(at.by_intrinsics[:, number], numeric, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(at.jacobian_intrinsics[:, number], numeric, rtol=1e-4, atol=1e-4)
     for number in range(6):
         step = np.zeros(6)
         step[number] = 1e-6
         ahead, behind = (project(model, rig.left, pose + sign * step, BOARD_M).image_px for sign in (1, -1))
         numeric = ((ahead - behind) / 2e-6).ravel()
-        np.testing.assert_allclose(at.by_pose[:, number], numeric, rtol=1e-4, atol=1e-3)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_rectified_points_are_those_of_a_pinhole(model: str) -> None:
-    rig = RIGS[model]
-    pose = poses(1, BOARD_M, rig, seed=5)[0]
-    raw = project(model, rig.left, pose, BOARD_M).image_px
-    pinhole = np.array([310.0, 0, 201], np.float64), np.array([0, 305.0, 149]), np.array([0, 0, 1.0])
-    P = np.column_stack((np.stack(pinhole), np.zeros(3)))
-    K = np.array([[rig.left[0], 0, rig.left[2]], [0, rig.left[1], rig.left[3]], [0, 0, 1]])
-    found = rectified_points(model, K, rig.left[4:], np.identity(3), P, raw)
-    none = np.zeros(len(MODELS["plumb_bob"]))
-    expected = project("plumb_bob", np.array([310.0, 305, 201, 149, *none]), pose, BOARD_M).image_px
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+        np.testing.assert_allclose(at.jacobian_pose[:, number], numeric, rtol=1e-4, atol=1e-3)
 
 
 def test_names() -> None:
@@ -60,11 +45,11 @@ def test_names() -> None:
         check_model("fisheye")
 
 
-def test_where_a_lens_folds() -> None:
-    """r (1 + k r^2) has its turn at r = 1 / sqrt(-3 k), where the radius is 2/3 of that."""
+def test_distortion_range() -> None:
+    """r (1 + k r^2) has its maximum at r = 1 / sqrt(-3 k), where the radius is 2/3 of that."""
     intrinsics = np.array([300.0, 300, 199.5, 149.5, -0.8, 0, 0, 0, 0])
-    turn_px, corner_px = turning_radius_px("plumb_bob", intrinsics, SIZE)
+    turn_px, corner_px = distortion_range_px("plumb_bob", intrinsics, SIZE)
     assert turn_px == pytest.approx(300 * 2 / 3 / np.sqrt(2.4), rel=1e-3)
     assert corner_px == pytest.approx(np.hypot(199.5, 149.5))
-    assert turning_radius_px("plumb_bob", RIGS["plumb_bob"].left, SIZE)[0] == float("inf")
-    assert turning_radius_px("equidistant", RIGS["equidistant"].left, SIZE)[0] == float("inf")
+    assert distortion_range_px("plumb_bob", RIGS["plumb_bob"].left, SIZE)[0] == float("inf")
+    assert distortion_range_px("equidistant", RIGS["equidistant"].left, SIZE)[0] == float("inf")

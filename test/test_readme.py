@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the README says is so: its commands, its Python, its paths, its nodes and topics."""
+"""The README is correct: its commands, Python examples, paths, nodes and topics."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
-# what a reader has, or gets by following the README
-OF_THE_READER = {
+# files that a user has, or creates by following the README
+USER_FILES = {
     *("out/room.mcap", "out.mcap", "install/setup.bash"),
     *("left.yaml", "right.yaml", "left.png", "right.png"),
 }
@@ -43,25 +43,25 @@ def blocks(language: str) -> list[str]:
 
 
 def commands(program: str) -> list[list[str]]:
-    """The command lines of a program in the shell blocks, without its name; with && each counts."""
+    """Arguments of every call of a program in the shell blocks; && separates calls."""
     lines = [shlex.split(line, comments=True) for block in blocks("bash") for line in block.splitlines()]
     parts = [part.split() for line in lines for part in " ".join(line).split("&&")]
     return [part[1:] for part in parts if part[:1] == [program]]
 
 
 def spans(text: str) -> list[str]:
-    """What stands in backticks."""
+    """All text in backticks."""
     return re.findall(r"`([^`]+)`", text)
 
 
 def table(first_column: str) -> list[list[str]]:
-    """The cells of the table whose head begins with that column."""
+    """The cells of the table with that first column."""
     rows = README[README.index(f"| {first_column} |") :].split("\n\n")[0].splitlines()[2:]
     return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
 
 
 def setup_nodes() -> tuple[str, ...]:
-    """NODES of setup.py, which cannot be imported without being run."""
+    """NODES of setup.py, which cannot be imported without running the setup."""
     for statement in ast.parse((ROOT / "setup.py").read_text("utf-8")).body:
         if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "NODES":
             return tuple(ast.literal_eval(statement.value))
@@ -76,10 +76,10 @@ def test_commands_and_their_options_exist(arguments: list[str]) -> None:
         name, names = rest.pop(0), command.list_commands(None)
         assert name in names, f"{name} is none of {', '.join(names)}"
         command = command.get_command(None, name)
-    command.make_context(name, rest)  # parses without running; refuses what it does not know
+    command.make_context(name, rest)  # parses without running; rejects unknown options
 
 
-def test_every_line_of_the_shell_section_was_looked_at() -> None:
+def test_every_line_of_the_shell_section_was_parsed() -> None:
     section = README.split("## From the shell")[1].split("##")[0]
     assert len(commands("stereo-depth")) == section.count("\nstereo-depth ") >= 5
 
@@ -112,8 +112,8 @@ def test_ros2_commands_name_nodes_launch_files_and_arguments_that_exist() -> Non
 
 
 def test_paths_exist() -> None:
-    named = {path for path in FILE.findall(README) if "/" in path or path in OF_THE_READER}
-    named = {path.removeprefix(WORKSPACE) for path in named} - OF_THE_READER
+    named = {path for path in FILE.findall(README) if "/" in path or path in USER_FILES}
+    named = {path.removeprefix(WORKSPACE) for path in named} - USER_FILES
     folders = {path for path in FOLDER.findall(README) if path != "/"}
     assert {"config/fastdds.xml", "docs/preview.png", "bags/synthetic_room.mcap"} <= named
     assert {"config", "launch", "bags", "benchmarks", "test"} <= folders
@@ -130,7 +130,7 @@ Topics = dict[str, str]  # type by name, both without package
 
 @pytest.fixture(scope="module")
 def live_topics() -> dict[str, tuple[Topics, Topics]]:
-    """What each node subscribes and publishes while somebody listens to everything, beside what every node has."""
+    """Subscriptions and publishers of each node while all outputs have subscribers, without those of every node."""
     pytest.importorskip("rclpy", reason="graph tests need ROS 2")
     from graph_harness import Graph
 
@@ -147,8 +147,8 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
         found = {end.topic_name.lstrip("/"): end.msg_type.__name__ for end in endpoints}
         return {name: kind for name, kind in found.items() if name not in ("rosout", "parameter_events", "clock")}
 
-    path = (RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode)
-    with Graph(*path, FeatureNode, CalibrationMonitor, CalibrationNode, parameters={"auto_correct": True}) as graph:
+    pipeline = (RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode)
+    with Graph(*pipeline, FeatureNode, CalibrationMonitor, CalibrationNode, parameters={"auto_correct": True}) as graph:
         kinds = {end.topic_name: end.msg_type for node in graph.nodes for end in node.publishers}
         for topic in kinds.keys() - {"/rosout", "/parameter_events", "/diagnostics"}:
             graph.listen(topic, kinds[topic])
@@ -156,15 +156,15 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
         return {node.get_name(): (topics(node.subscriptions), topics(node.publishers)) for node in graph.nodes}
 
 
-def told_topics(cell: str) -> set[str]:
-    """The topics that a cell of the table of nodes names."""
+def named_topics(cell: str) -> set[str]:
+    """The topics named in a cell of the table of nodes."""
     topics = set(spans(cell))
     if "both `camera_info`" in cell:
         topics = topics - {"camera_info"} | {"left/camera_info", "right/camera_info"}
-    if cell.startswith("all of the above but"):
+    if cell.startswith("all of the above except"):
         rows = table("node")
         above = rows[: next(index for index, row in enumerate(rows) if row[2] == cell)]
-        topics = set().union(*(told_topics(row[2]) for row in above)) - topics
+        topics = set().union(*(named_topics(row[2]) for row in above)) - topics
     return topics
 
 
@@ -172,23 +172,24 @@ def told_topics(cell: str) -> set[str]:
 def test_table_of_nodes_names_their_topics(live_topics: dict[str, tuple[Topics, Topics]]) -> None:
     rows = {row[0].strip("`"): row for row in table("node")}
     for node, (subscribed, published) in live_topics.items():
-        assert subscribed.keys() == told_topics(rows[node][1]), node
-        assert published.keys() - {"diagnostics"} == told_topics(rows[node][2]), node
-    assert rows.keys() - live_topics.keys() == {"replay_node"}, "it plays what the others take"
+        assert subscribed.keys() == named_topics(rows[node][1]), node
+        assert published.keys() - {"diagnostics"} == named_topics(rows[node][2]), node
+    assert rows.keys() - live_topics.keys() == {"replay_node"}, "it plays the inputs of the others"
 
 
 @pytest.mark.graph
 def test_table_of_topics_has_every_topic_with_its_type(live_topics: dict[str, tuple[Topics, Topics]]) -> None:
-    told: Topics = {}
+    named: Topics = {}
     for names, types, _ in table("topic"):
         topics = [name.lstrip("/") for name in spans(names)]
         kinds = [kind.rpartition("/")[2] for kind in spans(types) if not kind.startswith("/")]
-        told |= dict(zip(topics, kinds if len(kinds) > 1 else kinds * len(topics), strict=True))
-    assert told == {name: kind for sides in live_topics.values() for side in sides for name, kind in side.items()}
+        named |= dict(zip(topics, kinds if len(kinds) > 1 else kinds * len(topics), strict=True))
+    assert named.pop("~/ready") == "Int64", "every node publishes it as soon as it spins, see test_readiness"
+    assert named == {name: kind for sides in live_topics.values() for side in sides for name, kind in side.items()}
 
 
 def run_in(folder: Path, arguments: list[str]) -> subprocess.CompletedProcess[str]:
-    """`stereo-depth` in a folder that has the sample bag where the README has it."""
+    """Run `stereo-depth` in a folder with the sample bag at the path used in the README."""
     (folder / "bags").symlink_to(ROOT / "bags")
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     environment = {
@@ -210,7 +211,7 @@ def test_info_of_the_sample_bag(tmp_path: Path) -> None:
     (arguments,) = (line for line in commands("stereo-depth") if line[0] == "info")
     done = run_in(tmp_path, arguments)
     assert done.returncode == 0, done.stderr
-    assert "can be made of it" in done.stdout
+    assert done.stdout.splitlines()[-1].split() == ["usable", "for", "stereo", "depth", "yes"]
 
 
 @pytest.mark.parametrize(
@@ -229,7 +230,7 @@ def test_commands_make_depth_of_the_sample_bag(arguments: list[str], tmp_path: P
     assert len(messages_of(tmp_path / "out" / "room.mcap", "/points2")) == 2
 
 
-def test_python_example_gives_what_its_comments_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_example_gives_the_attributes_of_its_comments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code, _ = blocks("python")
     sequence = SyntheticSequence(1, 320, 200)
     frame = sequence[0]

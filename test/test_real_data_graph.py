@@ -58,7 +58,7 @@ FRAME_ID = "left_optical_frame"
 TYPES = RosbagsTypes()
 
 
-# A process of its own: Fast DDS takes its profile once, and other tests may have started it without. The outputs are
+# A separate process: Fast DDS takes its profile once, and other tests may have started it without. The outputs are
 # noted before the replay sorts out what it did not expect.
 PLAY = """
 import json, sys
@@ -81,7 +81,7 @@ print(json.dumps({"result": result.to_json(), "received": received}))
 
 @dataclass(frozen=True)
 class Played:
-    """A bag, what the graph made of it, what the replay reports, and topic and stamp of every output that came."""
+    """A bag, its outputs, the report of the replay, and topic and stamp of every output received."""
 
     bag: Path
     output: Path
@@ -96,7 +96,7 @@ class Played:
 
 
 def play(bag: Path, shape: str, parameters: dict[str, Any], output: Path) -> Played:
-    """Play a bag through a graph of its own."""
+    """Play a bag through a new graph."""
     pytest.importorskip("rclpy", reason="graph tests need ROS 2")
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     environment = {
@@ -112,8 +112,8 @@ def play(bag: Path, shape: str, parameters: dict[str, Any], output: Path) -> Pla
         timeout=120,
     )
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    return Played(bag, output, told["result"], [(topic, stamp) for topic, stamp in told["received"]])
+    reported = json.loads(done.stdout)
+    return Played(bag, output, reported["result"], [(topic, stamp) for topic, stamp in reported["received"]])
 
 
 @pytest.fixture(scope="module")
@@ -173,14 +173,14 @@ def points_of(cloud: Any) -> F32:
 
 @pytest.mark.parametrize("shape", ["fused", "separate"])
 @pytest.mark.parametrize("name", ["kitti", "euroc"])
-def test_every_pair_comes_out_once_and_in_order(
+def test_every_pair_has_its_outputs_once_and_in_order(
     played: Callable[[str, str], Played], datasets: dict[str, StereoDataset], name: str, shape: str
 ) -> None:
     run = played(name, shape)
     stamps = [frame.left.stamp_ns for frame in datasets[name]]
     assert len(stamps) == PAIRS[name]
-    told = {key: run.result[key] for key in ("pairs", "lost", "unpaired_left", "unpaired_right", "warnings")}
-    assert told == {"pairs": PAIRS[name], "lost": 0, "unpaired_left": 0, "unpaired_right": 0, "warnings": []}
+    reported = {key: run.result[key] for key in ("pairs", "lost", "unpaired_left", "unpaired_right", "warnings")}
+    assert reported == {"pairs": PAIRS[name], "lost": 0, "unpaired_left": 0, "unpaired_right": 0, "warnings": []}
     for topic in OUTPUTS:
         came = [stamp for name, stamp in run.received if name == topic]
         while came[1:2] == stamps[:1]:
@@ -290,7 +290,7 @@ def distance_to_road(points_m: F32) -> float:
     return float(a / np.sqrt(1 + b**2 + c**2))
 
 
-def test_kitti_road_lies_as_deep_as_the_camera_is_high(played: Callable[[str, str], Played]) -> None:
+def test_kitti_road_is_at_the_height_of_the_camera(played: Callable[[str, str], Played]) -> None:
     clouds = played("kitti", "fused").topic("/points2").values()
     # 1.65 m by the data sheet of the car, whose suspension makes some centimeters
     assert np.median([distance_to_road(points_of(cloud)) for cloud in clouds]) == pytest.approx(1.65, abs=0.05)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reconstruction at three levels: meters, shape, incidence; each against points that are known."""
+"""Reconstruction at three levels, Euclidean, up to scale and projective, against known points."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_with_intrinsics_and_extrinsics_it_is_euclidean() -> None:
 
 
 def test_with_intrinsics_it_is_known_up_to_scale() -> None:
-    """One factor, the baseline, brings all points to their places."""
+    """One factor, the baseline, maps all points to their true positions."""
     seen = views(60)
     found = reconstruct(*distorted(seen), (LEFT, RIGHT))
     assert found.level is Level.UP_TO_SCALE
@@ -71,7 +71,7 @@ def test_a_baseline_makes_it_euclidean() -> None:
 
 
 def test_without_anything_it_is_projective() -> None:
-    """A homography of space, found from some points, brings all the others to their places."""
+    """A homography of space, found from some points, maps all others to their true positions."""
     seen = views(60)
     found = reconstruct(seen.left_px, seen.right_px, None)
     assert found.level is Level.PROJECTIVE
@@ -105,9 +105,11 @@ def test_a_projective_one_has_no_points() -> None:
         _ = found.points
 
 
-def test_a_baseline_completes_nothing_else() -> None:
+def test_a_baseline_applies_to_nothing_else() -> None:
     found = reconstruct(*distorted(views(40)), RIG)
-    with pytest.raises(CalibrationError, match="euclidean reconstruction: a baseline completes an up_to_scale one"):
+    with pytest.raises(
+        CalibrationError, match="euclidean reconstruction: a baseline applies to an up_to_scale reconstruction only"
+    ):
         found.with_baseline(0.1)
     scaled = reconstruct(*distorted(views(60)), (LEFT, RIGHT))
     with pytest.raises(CalibrationError, match=r"baseline -1 m is not above 0: measure it"):
@@ -147,7 +149,7 @@ def test_canonical_cameras_have_the_fundamental_matrix() -> None:
         np.testing.assert_allclose(unit_scale(fundamental_from_cameras(*cameras)), unit_scale(F_TRUE), atol=1e-12)
 
 
-def test_points_that_are_no_pairs() -> None:
+def test_points_that_are_not_pairs() -> None:
     with pytest.raises(ImageError, match=r"\(4, 2\) and \(3, 2\)"):
         reconstruct(np.zeros((4, 2)), np.zeros((3, 2)), RIG)
     seen = views(7)

@@ -16,7 +16,7 @@ from stereo_depth_ros.nodes.replay.recorder import Recorder
 TYPE = "sensor_msgs/msg/Image"
 
 
-def test_everything_is_there_in_order_when_the_block_has_ended(tmp_path: Path) -> None:
+def test_all_messages_are_written_in_order(tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     with Recorder(path) as recorder:
         for index in range(200):  # more than the queue holds
@@ -45,7 +45,7 @@ def test_disk_that_fails_ends_the_recording_with_the_reason(tmp_path: Path, monk
 
     monkeypatch.setattr(BagWriter, "write_raw", fail)
     with (
-        pytest.raises(BagError, match=r"recording stopped: .*No space left on device: make room on the disk"),
+        pytest.raises(BagError, match=r"recording stopped: .*No space left on device: free space on the disk"),
         Recorder(tmp_path / "out.mcap") as recorder,
     ):
         for index in range(200):  # the queue is emptied, so this does not wait for ever

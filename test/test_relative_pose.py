@@ -19,7 +19,7 @@ def test_cross_matrix() -> None:
     np.testing.assert_allclose(cross_matrix(v) @ w, np.cross(v, w), atol=1e-15)
 
 
-def test_right_centre_is_where_the_right_camera_sees_zero() -> None:
+def test_right_center_is_the_origin_of_the_right_camera() -> None:
     np.testing.assert_allclose(POSE.R @ POSE.right_center + POSE.t, 0, atol=1e-15)
 
 
@@ -32,7 +32,7 @@ def test_essential_matrix_of_one_point_in_both_cameras() -> None:
 
 
 def test_essential_matrix_is_the_textbook_s() -> None:
-    """R [T]x and [t]x R are the same but for the sign."""
+    """R [T]x and [t]x R are equal up to sign."""
     np.testing.assert_allclose(POSE.essential, -cross_matrix(POSE.t) @ POSE.R, atol=1e-15)
 
 
@@ -65,11 +65,11 @@ def test_the_other_direction_is_180_degrees_away() -> None:
     assert POSE.direction_angle_to(RelativePose(POSE.R, -POSE.t)) == pytest.approx(np.pi)
 
 
-def test_no_pose() -> None:
+def test_invalid_poses() -> None:
     with pytest.raises(CalibrationError, match=r"shape \(2, 2\) and t \(3,\).*\(3, 3\)"):
         RelativePose(np.identity(2), POSE.t)
     with pytest.raises(CalibrationError, match="R from the left to the right camera"):
         RelativePose(1.1 * POSE.R, POSE.t)
     for nothing in ([0.0, 0.0, 0.0], [0.1, np.nan, 0.0]):
-        with pytest.raises(CalibrationError, match="is no baseline"):
+        with pytest.raises(CalibrationError, match="is not a baseline"):
             RelativePose(POSE.R, np.array(nothing))

@@ -184,9 +184,7 @@ def test_separate_nodes_give_the_bytes_of_the_offline_engine_from_a_compressed_b
     assert_equal_messages(tmp_path / "live.mcap", tmp_path / "offline.mcap", SAME_BYTES)
 
 
-def test_without_nodes_the_topics_without_subscriber_or_publisher_are_named(
-    bag: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_topics_without_subscriber_or_publisher_are_named(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from stereo_depth_ros.nodes.replay import player
     from stereo_depth_ros.nodes.replay_node import replay
 

@@ -92,7 +92,7 @@ def test_tracker_gives_up_overdue_pairs_and_reports_the_missing_outputs() -> Non
     tracker.sent(3_000, 3_000, now_ns=300)
     tracker.received("points2", 1_000, now_ns=150)
     lost = tracker.give_up(sent_before_ns=300)
-    assert [(pair.stamp_ns, pair.topics, pair.nothing_came) for pair in lost] == [
+    assert [(pair.stamp_ns, pair.topics, pair.without_output) for pair in lost] == [
         (1_000, ("disparity",), False),
         (2_000, ("disparity", "points2"), True),
     ]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Row errors of matched features: against images moved by known amounts."""
+"""Row errors of matched features: against images shifted by known amounts."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from stereo_depth_ros.core.types import F64, U8
 
 WIDTH, HEIGHT = 440, 280
 _RANDOM = np.random.default_rng(3)
-WAVES = _RANDOM.normal(0, 0.35, (2, 60))  # radians a pixel
+WAVES = _RANDOM.normal(0, 0.35, (2, 60))  # radians per pixel
 PHASES = _RANDOM.uniform(0, 2 * np.pi, 60)
 
 
 def image(x: F64, y: F64) -> U8:
-    """A texture that can be looked at anywhere, exactly: waves in all directions."""
+    """A texture of waves in all directions, exact at any position."""
     gray = np.cos(x[..., None] * WAVES[0] + y[..., None] * WAVES[1] + PHASES).sum(axis=2)
     return np.asarray(np.clip(128 + 15 * gray, 0, 255), np.uint8)
 
@@ -47,8 +47,8 @@ def test_shift_of_all_rows(down_px: float) -> None:
     assert np.median(disparity) == pytest.approx(17.3, abs=0.02)
 
 
-def test_rows_that_part_across_the_picture() -> None:
-    """As of a camera that has rolled: errors from -3 to 3 px, each told to a tenth."""
+def test_row_errors_that_vary_across_the_image() -> None:
+    """As from a camera that has rolled: errors from -3 to 3 px, each measured to a tenth."""
     left = texture()
     across = np.linspace(-3, 3, WIDTH)
     matches = match_rows(left, seen_by_right(9.0, np.broadcast_to(across, (HEIGHT, WIDTH))))
@@ -57,8 +57,8 @@ def test_rows_that_part_across_the_picture() -> None:
     assert np.sqrt(np.mean((matches.errors_px - expected) ** 2)) < 0.1
 
 
-def test_matches_come_from_all_over_the_picture() -> None:
-    """Though one half has half the contrast."""
+def test_matches_cover_the_image() -> None:
+    """Although one half has half the contrast."""
     left, right = texture(), seen_by_right(5.0, 0.4)
     for each in (left, right):
         each[:, WIDTH // 2 :] = 64 + each[:, WIDTH // 2 :] // 2
@@ -66,8 +66,8 @@ def test_matches_come_from_all_over_the_picture() -> None:
     assert np.bincount(parts @ [1, 4], minlength=12).min() >= 15
 
 
-def test_matches_of_other_things_in_the_pictures_are_left_out() -> None:
-    """A part of the right image is higher by 9 px than all the rest: a reflection, something that moves."""
+def test_outliers_are_removed() -> None:
+    """A part of the right image is 9 px higher than the rest, as a reflection or a moving object."""
     left = texture()
     right = seen_by_right(6.0, 0.5)
     right[90:170, 100:220] = seen_by_right(6.0, -9.0)[90:170, 100:220]
@@ -75,12 +75,12 @@ def test_matches_of_other_things_in_the_pictures_are_left_out() -> None:
     assert np.abs(matches.errors_px + 0.5).max() < 1.2
 
 
-def test_beyond_the_rows_that_are_searched_nothing_is_found() -> None:
+def test_nothing_is_found_beyond_the_rows_searched() -> None:
     left = texture()
     assert len(match_rows(left, seen_by_right(3.0, 40.0))) < 20
 
 
-def test_the_same_each_time() -> None:
+def test_deterministic() -> None:
     left = texture()
     right = seen_by_right(8.0, 1.0)
     first, second = match_rows(left, right), match_rows(left, right)
@@ -88,7 +88,7 @@ def test_the_same_each_time() -> None:
     np.testing.assert_array_equal(first.right_px, second.right_px)
 
 
-def test_pictures_without_features() -> None:
+def test_images_without_features() -> None:
     flat = np.full((HEIGHT, WIDTH), 77, np.uint8)
     for pair in ((flat, flat), (texture(), flat), (flat, texture())):
         matches = match_rows(*pair)
@@ -104,7 +104,7 @@ def test_figures() -> None:
     assert matches.rms_px == pytest.approx(math.sqrt(10.25 / 3))
 
 
-def test_pictures_that_are_no_pair() -> None:
+def test_images_that_are_not_a_pair() -> None:
     left = texture()
     with pytest.raises(ImageError, match=r"right image is float64 of shape \(280, 440\)"):
         match_rows(left, left.astype(np.float64))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration of both cameras and the rig: from the corners that known cameras see, and from real boards."""
+"""Calibration of both cameras and the rig: from exact corners of known cameras, and from real boards."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from rendered_boards import FISHEYE, RIGS, SIZE, exact_views
 from stereo_depth_ros.calibration.board_options import create_board
 from stereo_depth_ros.calibration.board_views import BoardView
 from stereo_depth_ros.calibration.boards import Corners
-from stereo_depth_ros.calibration.bundle_adjustment import Estimate
+from stereo_depth_ros.calibration.bundle_adjustment import BundleParameters
 from stereo_depth_ros.calibration.calibration_files import save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
-from stereo_depth_ros.calibration.distortion_range import check_edges
+from stereo_depth_ros.calibration.distortion_range import check_distortion_range
 from stereo_depth_ros.calibration.row_error import match_rows
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
@@ -38,7 +38,7 @@ MODELS = list(RIGS)
 def test_exact_corners_give_the_cameras(model: str) -> None:
     rig = RIGS[model]
     found = calibrate(exact_views(rig, 14, noise_px=0), model)
-    # Several sets of the rational coefficients are one lens
+    # Several sets of rational coefficients describe the same lens
     count = 4 if model == "rational_polynomial" else rig.left.size
     for camera, true in ((found.left, rig.left), (found.right, rig.right)):
         values = np.array([camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *camera.D])
@@ -52,14 +52,14 @@ def test_exact_corners_give_the_cameras(model: str) -> None:
 
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
 def test_standard_deviations_are_those_of_many_draws(model: str) -> None:
-    """The Jacobian's and the views' own estimate, of which the larger one is told, so that it is a little careful."""
+    """The larger of the estimates from the Jacobian and from the views, which is slightly conservative."""
     draws = [calibrate(exact_views(RIGS[model], 10, 0.2, seed), model) for seed in range(12)]
     true = RIGS[model]
     errors = np.array(
         [[d.left.K[0, 0] - true.left[0], d.right.K[0, 2] - true.right[2], *(d.T - true.rig[3:])] for d in draws]
     )
-    told = np.array([[d.left.sigmas[0], d.right.sigmas[2], *d.T_sigma_m] for d in draws])
-    share = np.sqrt(np.mean((errors / told) ** 2, axis=0))
+    sigmas = np.array([[d.left.sigmas[0], d.right.sigmas[2], *d.T_sigma_m] for d in draws])
+    share = np.sqrt(np.mean((errors / sigmas) ** 2, axis=0))
     # Of 12 draws the root mean square is known to 20 %
     assert (share > 0.3).all()
     assert (share < 1.5).all()
@@ -67,7 +67,7 @@ def test_standard_deviations_are_those_of_many_draws(model: str) -> None:
 
 
 def test_errors_fall_as_the_root_of_the_number() -> None:
-    """Of the same poses, each seen once or four times: what the views tell is four times as much."""
+    """The same poses, each recorded once or four times, which is four times the information."""
     exact, true = exact_views(RIGS["plumb_bob"], 10, 0.0), RIGS["plumb_bob"]
 
     def noisy(corners: Corners, random: np.random.Generator) -> Corners:
@@ -90,7 +90,7 @@ def test_errors_fall_as_the_root_of_the_number() -> None:
         rms: F64 = np.sqrt(np.mean(np.square(found), axis=0))
         return rms
 
-    # The mean ratio of seven parameters over six draws is known to 14 %; 1 would be no fall, 4 that of 1 / n
+    # The mean ratio of seven parameters over six draws is known to 14 %; 1 would be no decrease, 4 a decrease by 1 / n
     assert np.exp(np.log(errors(1) / errors(4)).mean()) == pytest.approx(2, rel=0.35)
 
 
@@ -110,8 +110,8 @@ def test_a_view_with_wrong_corners_is_dropped_and_named() -> None:
     assert found.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=5e-4)
 
 
-def test_a_view_whose_eyes_were_not_exposed_together_is_dropped_and_named() -> None:
-    """Each camera by itself fits: the board moved between the two images."""
+def test_a_view_whose_cameras_were_not_exposed_together_is_dropped_and_named() -> None:
+    """Each camera fits alone: the board moved between the two images."""
     views, later = exact_views(FISHEYE, 12, 0.1), exact_views(FISHEYE, 12, 0.1, seed=9)
     views[3] = replace(views[3], right=later[3].right)
     found = calibrate(views, "equidistant")
@@ -124,26 +124,26 @@ def test_good_views_are_all_kept() -> None:
         assert not calibrate(exact_views(FISHEYE, 12, 0.3, seed + 20), "equidistant").dropped
 
 
-def test_what_is_too_little() -> None:
+def test_insufficient_views() -> None:
     views = exact_views(FISHEYE, 6, 0.1)
     with pytest.raises(CalibrationError, match=r"4 views of the board, at least 5 are needed and 20 are good"):
         calibrate(views[:4], "equidistant")
     with pytest.raises(ConfigError, match="'fisheye' is none of"):
         calibrate(views, "fisheye")
-    with pytest.raises(CalibrationError, match=r"view02 is 320x240, view00 is 400x300"):
+    with pytest.raises(CalibrationError, match=r"view02: image size 320x240, view00 is 400x300"):
         calibrate([*views[:2], replace(views[2], size=(320, 240)), *views[3:]], "equidistant")
 
 
-def test_views_that_are_one_view() -> None:
-    """The same pose over and over determines nothing."""
+def test_repeated_views() -> None:
+    """Repetitions of one pose do not determine the cameras."""
     view = exact_views(RIGS["plumb_bob"], 1, 0.0)[0]
     views = [replace(view, name=f"v{k}") for k in range(8)]
     with pytest.raises(CalibrationError, match=r"1 of 8 views differ, at least 3 are needed: tilt the board"):
         calibrate(views)
 
 
-def test_a_fisheye_whose_views_stay_in_the_middle_is_rectified_all_the_same() -> None:
-    """With k4 free these lenses fold back within the image, and have no rectified image."""
+def test_a_fisheye_with_views_in_the_center_only_is_rectified() -> None:
+    """With k4 free the distortion of these lenses decreases within the image, which cannot be rectified."""
     for seed in (0, 1, 5):
         found = calibrate(exact_views(FISHEYE, 6, 0.2, seed + 100), "equidistant")
         assert any("do not determine" in text and "k4" in text for text in found.warnings)
@@ -155,10 +155,10 @@ def test_a_fisheye_whose_views_stay_in_the_middle_is_rectified_all_the_same() ->
 
 
 def test_a_fisheye_that_cannot_be_rectified() -> None:
-    """r = theta (1 - 0.4 theta^2) turns at theta = 0.913, 104 px from the center of an image of 400 x 300."""
+    """r = theta (1 - 0.4 theta^2) is largest at theta = 0.913, 104 px from the center of an image of 400 x 300."""
     lens = np.array([171.0, 171, 199.5, 149.5, -0.4, 0, 0, 0])
-    with pytest.raises(CalibrationError, match=r"left: beyond 104 px .* folds back.* up to 200 px away: it cannot be"):
-        check_edges(Estimate("equidistant", (lens, lens), FISHEYE.rig, np.zeros((0, 6))), SIZE)
+    with pytest.raises(CalibrationError, match=r"left camera: .* beyond 104 px .* up to 200 px away: it cannot be"):
+        check_distortion_range(BundleParameters("equidistant", (lens, lens), FISHEYE.rig, np.zeros((0, 6))), SIZE)
 
 
 def part(corners: Corners, keep: npt.NDArray[np.bool_]) -> Corners:
@@ -166,7 +166,7 @@ def part(corners: Corners, keep: npt.NDArray[np.bool_]) -> Corners:
 
 
 def test_views_of_different_parts_of_a_board() -> None:
-    """As boards with markers have them."""
+    """As from boards with markers."""
     views = exact_views(RIGS["plumb_bob"], 10, 0.1)
     halves = [
         replace(view, left=part(view.left, view.left.ids % 7 < 4), right=part(view.right, view.right.ids % 7 >= 4))
@@ -181,7 +181,7 @@ def test_views_of_different_parts_of_a_board() -> None:
         calibrate(halves)
 
 
-def test_pictures_that_do_not_belong_together() -> None:
+def test_images_that_do_not_belong_together() -> None:
     """Each right image is that of the next pair."""
     views = exact_views(RIGS["plumb_bob"], 10, 0.1)
     views = [replace(view, right=views[(k + 1) % len(views)].right) for k, view in enumerate(views)]
@@ -189,16 +189,20 @@ def test_pictures_that_do_not_belong_together() -> None:
         calibrate(views)
 
 
-def test_exchanged_eyes() -> None:
+def test_swapped_cameras() -> None:
     views = [replace(view, left=view.right, right=view.left) for view in exact_views(FISHEYE, 10, 0.1)]
-    with pytest.raises(CalibrationError, match=r"left of the left one: exchange the images"):
+    with pytest.raises(
+        CalibrationError, match=r"-?[\d.]+ m to the left of the left camera: exchange the left and right images"
+    ):
         calibrate(views, "equidistant")
 
 
-def test_square_in_millimetres() -> None:
+def test_square_in_millimeters() -> None:
     views = exact_views(FISHEYE, 10, 0.0)
     views[0].left.board_m[:] *= 1000  # all views have this array
-    with pytest.raises(CalibrationError, match=r"apart, outside .* given in meters, 25 mm are 0\.025"):
+    with pytest.raises(
+        CalibrationError, match=r"baseline is 11\d\.\d+ m, outside .*square in meters, 25 mm are 0\.025"
+    ):
         calibrate(views, "equidistant")
 
 
@@ -210,10 +214,10 @@ def test_files_are_read_back_as_they_are(tmp_path: Path) -> None:
         for field in ("K", "D", "R", "P"):
             np.testing.assert_array_equal(getattr(read, field), getattr(camera, field))
         assert (read.width, read.height, read.distortion_model) == (*SIZE, "equidistant")
-    assert found.rig.f_px > 100  # of an image that shows something
+    assert found.rig.f_px > 100  # of a usable image
     rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
     assert rig.baseline_m == pytest.approx(found.baseline_m, rel=1e-9)
-    # A fisheye's P has the baseline, and a rotation beside it
+    # P of a fisheye contains the baseline
     assert rig.right.P[0, 3] == pytest.approx(-rig.f_px * found.baseline_m, rel=1e-9)
     report = (tmp_path / "out" / "calibration.txt").read_text()
     assert "baseline" in report and "+-" in report
@@ -222,11 +226,11 @@ def test_files_are_read_back_as_they_are(tmp_path: Path) -> None:
 def test_files_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     found = calibrate(exact_views(FISHEYE, 8, 0.2), "equidistant")
-    with pytest.raises(OutputError, match=r"cannot write .*file/.*take a folder that can be written"):
+    with pytest.raises(OutputError, match=r"file/.*: cannot be written: .*choose a writable folder"):
         save_calibration(found, tmp_path / "file")
 
 
-def test_coverage_picture_shows_corners_and_bars() -> None:
+def test_coverage_plot_shows_corners_and_bars() -> None:
     found = calibrate(exact_views(FISHEYE, 8, 0.2), "equidistant")
     image = coverage_plot(found)
     assert image.dtype == np.uint8
@@ -257,7 +261,7 @@ def test_the_chessboards_of_opencv(chessboard: StereoCalibration) -> None:
 
 
 @pytest.mark.real_data
-def test_the_chessboards_of_opencv_as_opencv_solves_them(stereo_data: Path, chessboard: StereoCalibration) -> None:
+def test_the_chessboards_of_opencv_against_opencv(stereo_data: Path, chessboard: StereoCalibration) -> None:
     """The same corners by cv2.stereoCalibrate: the same minimum."""
     views = board_views(stereo_data / "opencv_samples" / "chessboard_stereo").views
     board = [view.left.board_m.astype(np.float32) for view in views]

@@ -364,7 +364,7 @@ def test_bag_is_reproducible_and_not_replaced_without_overwrite(room: SyntheticS
     write_synthetic_bag(path, room)
     write_synthetic_bag(again, room)
     assert path.read_bytes() == again.read_bytes()
-    with pytest.raises(BagError, match=r"room\.mcap exists: remove it"):
+    with pytest.raises(BagError, match=r"room\.mcap: already exists: remove it"):
         write_synthetic_bag(path, room)
     path.write_bytes(b"")
     write_synthetic_bag(path, room, overwrite=True)

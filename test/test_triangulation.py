@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Triangulation: exact points, OpenCV, the nearest matches that agree, points that are none."""
+"""Triangulation: exact points, OpenCV, optimal matches, invalid points."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_behind_infinity_the_closed_form_has_no_point() -> None:
     assert np.isnan(Triangulation.from_rig(rig).points(np.array([[200.0, 100]]), beyond)).all()
 
 
-def test_midpoint_of_rays_that_meet() -> None:
+def test_midpoint_of_rays_that_intersect() -> None:
     left, right = (
         homogeneous(px) @ np.linalg.inv(K).T for px, K in ((EXACT.left_px, K_LEFT), (EXACT.right_px, K_RIGHT))
     )
@@ -69,7 +69,7 @@ def test_midpoint_of_rays_that_meet() -> None:
 
 
 def test_midpoint_of_rays_that_miss_each_other() -> None:
-    """One along z through the origin, one along -x and y higher by 0.2: the middle of the shortest line is known."""
+    """One along z through the origin, one along -x with y offset by 0.2: the midpoint is known."""
     turn = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])  # the right camera looks along x of the left one
     pose = RelativePose(turn, -turn @ np.array([-1.0, 0.2, 2.0]))
     middle = triangulate_midpoint(pose, np.array([[0.0, 0, 1]]), np.array([[0.0, 0, 1]]))
@@ -101,14 +101,14 @@ def test_optimal_matches_against_opencv() -> None:
 
 
 def test_optimal_matches_of_a_rectified_pair() -> None:
-    """Where Hartley and Sturm's method fails: both rows move to their middle."""
+    """Where Hartley and Sturm's method fails: both rows move to their mean."""
     F = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     nearest = optimal_matches(F, np.array([[80.0, 31.0]]), np.array([[70.0, 32.0]]))
     np.testing.assert_allclose(nearest.left_px, [[80, 31.5]], atol=1e-9)
     np.testing.assert_allclose(nearest.right_px, [[70, 31.5]], atol=1e-9)
 
 
-def test_optimal_points_are_seen_nearest_to_their_matches() -> None:
+def test_optimal_points_have_the_least_reprojection_error() -> None:
     def miss(X: F64) -> float:
         seen = [homogeneous_px(X, P) for P in (P_LEFT, P_RIGHT)]
         return float(
@@ -129,7 +129,7 @@ def homogeneous_px(X: F64, P: F64) -> F64:
 
 
 def test_optimal_points_do_not_depend_on_the_frame() -> None:
-    """Cameras and points moved by a homography of space see the same."""
+    """Cameras and points transformed by a homography of space give the same images."""
     H = np.identity(4) + 0.2 * np.random.default_rng(4).standard_normal((4, 4))
     there = triangulate_optimal(P_LEFT @ H, P_RIGHT @ H, NOISY.left_px, NOISY.right_px) @ H.T
     here = triangulate_optimal(P_LEFT, P_RIGHT, NOISY.left_px, NOISY.right_px)
@@ -155,7 +155,7 @@ def test_parallax() -> None:
     angles = parallax(points, pose)
     assert angles[0] == pytest.approx(2 * np.arctan(0.2 / 3))
     assert angles[1] == 0
-    assert angles[2] == pytest.approx(np.pi)  # between the cameras they look at each other
+    assert angles[2] == pytest.approx(np.pi)  # between the cameras the rays are opposite
 
 
 def test_matches_that_have_no_point() -> None:
@@ -164,7 +164,7 @@ def test_matches_that_have_no_point() -> None:
     X = triangulate_linear(P_LEFT, P_RIGHT, holed, EXACT.right_px)
     assert np.isnan(X[3]).all()
     assert np.isfinite(np.delete(X, 3, axis=0)).all()
-    # Both rays along the line of the centers
+    # Both rays along the baseline
     left, right = project(POSE.right_center[None], K_LEFT), project(POSE.t[None], K_RIGHT)
     assert np.isnan(triangulate_linear(P_LEFT, P_RIGHT, left, right)).all()
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rectification from the fundamental matrix: rows, shape, distortion, OpenCV, the path, real pairs."""
+"""Rectification from the fundamental matrix: rows, shape, distortion, OpenCV, the pipeline, real pairs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import pytest
 from two_views import F_TRUE, K_LEFT, K_RIGHT, POSE, SIZE, views
 
 from stereo_depth_ros.calibration.board_options import create_board
-from stereo_depth_ros.calibration.projection import rectified_points
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.calibration.view_finder import find_views
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
@@ -25,6 +24,7 @@ from stereo_depth_ros.datasets.stereo_images import open_stereo_images
 from stereo_depth_ros.geometry.correspondences import Correspondences, match_features
 from stereo_depth_ros.geometry.epipolar import fundamental_from_pose, sampson_distance
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
+from stereo_depth_ros.geometry.rays import rectify_points
 from stereo_depth_ros.geometry.relative_pose import RelativePose
 from stereo_depth_ros.geometry.uncalibrated_rectification import (
     UncalibratedRectification,
@@ -48,7 +48,7 @@ def test_rows_agree() -> None:
 
 
 def test_disparity_grows_with_nearness() -> None:
-    """Of points on one ray; otherwise matchers would search the wrong way."""
+    """For points on one ray; otherwise matchers would search in the wrong direction."""
     ray = np.array([[0.1, -0.05, 1.0]])
     points = ray * np.linspace(2, 8, 9)[:, None]
     left, right = points @ K_LEFT.T, (points @ POSE.R.T + POSE.t) @ K_RIGHT.T
@@ -57,7 +57,7 @@ def test_disparity_grows_with_nearness() -> None:
 
 
 def test_shape_is_kept() -> None:
-    """The midlines are at right angles and as long, beside each other, as they were: no shear is left."""
+    """The midlines keep their right angle and the ratio of their lengths: no shear remains."""
     for shape in (FOUND.shape_left, FOUND.shape_right):
         assert shape.angle_deg == pytest.approx(90, abs=1e-6)
         assert shape.aspect == pytest.approx(1, abs=1e-6)
@@ -65,7 +65,7 @@ def test_shape_is_kept() -> None:
         assert np.linalg.det(H) > 0  # not mirrored
 
 
-def test_area_and_middle_are_kept() -> None:
+def test_area_and_center_are_kept() -> None:
     outlines = []
     for H in (FOUND.H_left, FOUND.H_right):
         corners = np.array([[[0.0, 0], [SIZE[0], 0], SIZE, [0, SIZE[1]]]]) - 0.5
@@ -94,14 +94,14 @@ def test_no_direction_has_less_distortion() -> None:
     assert own < FOUND.distortion
 
 
-def test_a_rectified_pair_stays() -> None:
+def test_a_rectified_pair_does_not_change() -> None:
     found = rectify_uncalibrated(RECTIFIED, SIZE)
     for H in (found.H_left, found.H_right):
         np.testing.assert_allclose(H, np.identity(3), atol=1e-4)
     assert found.distortion < 1e-12
 
 
-def test_pictures_of_two_sizes() -> None:
+def test_images_of_two_sizes() -> None:
     seen = views(40)
     found = rectify_uncalibrated(F_TRUE, SIZE, (700, 520))
     left, right = found.rectified(seen.left_px, seen.right_px)
@@ -116,19 +116,19 @@ def test_shape_of_a_shear() -> None:
 
 
 @pytest.mark.parametrize("t", [[0.02, 0.01, 0.3], [-0.3, 0.0, -0.6]])
-def test_epipoles_in_the_picture(t: list[float]) -> None:
+def test_epipoles_in_the_image(t: list[float]) -> None:
     F = fundamental_from_pose(RelativePose(np.identity(3), np.array(t)), K_LEFT, K_RIGHT)
     with pytest.raises(CalibrationError, match=r"epipole is at \(.*\) px, in the image of 740x480.*move the camera"):
         rectify_uncalibrated(F, SIZE)
 
 
-def test_epipoles_near_to_the_picture() -> None:
+def test_epipoles_near_the_image() -> None:
     F = fundamental_from_pose(RelativePose(np.identity(3), np.array([-0.3, 0.0, 0.3])), K_LEFT, K_LEFT)
-    with pytest.raises(CalibrationError, match=r"enlarged .* times more at one corner than at another, limit 4"):
+    with pytest.raises(CalibrationError, match=r"image: magnification would vary .* times between corners, limit 4"):
         rectify_uncalibrated(F, SIZE)
 
 
-def test_no_fundamental_matrix() -> None:
+def test_not_a_fundamental_matrix() -> None:
     for matrix in (np.identity(3), np.zeros((3, 3)), np.full((3, 3), np.nan), np.ones((2, 2)), np.ones((3, 3))):
         with pytest.raises(CalibrationError, match="not those of a fundamental matrix, which has rank 2"):
             rectify_uncalibrated(matrix, SIZE)
@@ -141,8 +141,8 @@ def noise_pair() -> tuple[U8, U8]:
     return texture, texture
 
 
-def test_front_end_of_the_path() -> None:
-    """A pair whose right image is lower and turned: the path straightens it and finds the disparity it was given."""
+def test_rectification_in_the_pipeline() -> None:
+    """A pair whose right image is lower and rotated: the pipeline rectifies it and finds the given disparity."""
     left, _ = noise_pair()
     turn = cv2.Rodrigues(np.array([0.004, 0.0, 0.03]))[0]
     K = np.array([[400.0, 0, 239.5], [0, 400, 159.5], [0, 0, 1]])
@@ -161,7 +161,7 @@ def test_front_end_of_the_path() -> None:
 
 
 def test_distortion_is_removed_first() -> None:
-    """Raw points of both lenses, through the maps' inverse, against the homographies of the undistorted ones."""
+    """Raw points of both cameras, rectified, against the homographies of undistorted points."""
     D = np.array([-0.2, 0.05, 0.001, -0.0007, 0.0])
     cameras = tuple(
         CameraModel(*SIZE, "plumb_bob", K, D, np.identity(3), np.identity(4)[:3]) for K in (K_LEFT, K_RIGHT)
@@ -170,7 +170,7 @@ def test_distortion_is_removed_first() -> None:
     points, none = views(50).points_m, np.zeros(3)
     for side, K, moved in ((rig.left, K_LEFT, points), (rig.right, K_RIGHT, points @ POSE.R.T + POSE.t)):
         raw = np.asarray(cv2.projectPoints(moved, none, none, K, D)[0][:, 0], np.float64)
-        through = rectified_points(side.distortion_model, side.K, side.D, side.R, side.P[:, :3], raw)
+        through = rectify_points(raw, side)
         ideal = moved @ K.T
         H = FOUND.H_left if side is rig.left else FOUND.H_right
         expected = cv2.perspectiveTransform((ideal[:, :2] / ideal[:, 2:])[:, None], H)[:, 0]
@@ -188,7 +188,7 @@ def test_rigs_of_other_sizes() -> None:
 
 
 def check_held_out(matches: Correspondences, size: tuple[int, int]) -> None:
-    """Estimated from half of the matches; rows of the other half, and of OpenCV's homographies beside them."""
+    """Estimated from half of the matches; row errors of the other half, compared with OpenCV's homographies."""
     order = np.random.default_rng(0).permutation(len(matches))
     fitted, held = matches.take(order[::2]), matches.take(order[1::2])
     estimate = estimate_fundamental(fitted.left_px, fitted.right_px)
@@ -222,7 +222,7 @@ def test_euroc(stereo_data: Path) -> None:
 
 @pytest.mark.real_data
 def test_fisheye_scene(stereo_data: Path) -> None:
-    """Twice as large as it is, which is the size of the boards that tell its distortion."""
+    """Enlarged twice, to the size of the calibration images."""
     folder = stereo_data / "stereopi" / "fisheye_v2"
     board = create_board("chessboard", (9, 6), 0.025)
     rig = calibrate(find_views(open_stereo_images(folder / "pairs"), board, lambda _: board).views, "equidistant").rig

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two different cameras that are known exactly, and what they see of points in space."""
+"""Two different cameras that are known exactly, and their projections of points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ F_TRUE = fundamental_from_pose(POSE, K_LEFT, K_RIGHT)
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Points in the left camera, float64 (N, 3) m, and where the cameras see them, float64 (N, 2) px each."""
+    """Points in the left camera, float64 (N, 3) m, and their projections, float64 (N, 2) px each."""
 
     points_m: F64
     left_px: F64
@@ -32,7 +32,7 @@ class Views:
 def views(
     count: int, noise_px: float = 0.0, seed: int = 0, pose: RelativePose = POSE, depth_m: tuple[float, float] = (2, 9)
 ) -> Views:
-    """Random points at all depths, seen with noise in both images."""
+    """Random points at all depths, with noise in both images."""
     random = np.random.default_rng(seed)
     pixels = random.uniform((40, 30), (SIZE[0] - 40, SIZE[1] - 30), (count, 2))
     points = pixels_at(pixels, random.uniform(*depth_m, count))
@@ -48,13 +48,13 @@ def plane_views(count: int, noise_px: float = 0.0, seed: int = 0) -> Views:
 
 
 def pixels_at(pixels: F64, depth_m: F64) -> F64:
-    """The points, float64 (N, 3), that the left camera sees there."""
+    """Points, float64 (N, 3), at pixels of the left camera."""
     rays: F64 = np.column_stack((pixels, np.ones(len(pixels)))) @ np.linalg.inv(K_LEFT).T
     return rays * depth_m[:, None]
 
 
 def seen(points_m: F64, noise_px: float, seed: int, pose: RelativePose = POSE) -> Views:
-    """What both cameras see of these points."""
+    """Projections of points in both cameras."""
     random = np.random.default_rng(seed + 1)
     left = project(points_m, K_LEFT) + noise_px * random.standard_normal((len(points_m), 2))
     right = project(points_m @ pose.R.T + pose.t, K_RIGHT) + noise_px * random.standard_normal((len(points_m), 2))

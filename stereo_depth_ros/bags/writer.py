@@ -14,7 +14,7 @@ from rosbags.typesys import TypesysError
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.core.errors import BagError
-from stereo_depth_ros.files.output import OutputFile, check_outputs, telling
+from stereo_depth_ros.files.output import OutputFile, as_output_errors, check_outputs
 
 __all__ = ["BagWriter", "check_bag_output"]
 
@@ -72,7 +72,7 @@ class BagWriter:
         self._sequences: dict[int, int] = {}
         self._output = OutputFile(path, overwrite=overwrite, make_folders=True)
         self._writer = Writer(self._output.file, chunk_size=chunk_size, compression=_COMPRESSIONS[compression])
-        with telling(path):
+        with as_output_errors(path):
             self._writer.start(profile="ros2", library="stereo_depth_ros")
 
     def write_raw(
@@ -95,7 +95,7 @@ class BagWriter:
         channel = self._channel(topic, msgtype, latched)
         sequence = self._sequences[channel] = self._sequences.get(channel, 0) + 1
         publish_time = log_time_ns if publish_time_ns is None else publish_time_ns
-        with telling(self.path):
+        with as_output_errors(self.path):
             self._writer.add_message(channel, log_time_ns, cdr, publish_time, sequence)
         self.message_count += 1
 
@@ -105,7 +105,7 @@ class BagWriter:
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record: names and values, such as the parameters that were used."""
-        with telling(self.path):
+        with as_output_errors(self.path):
             self._writer.add_metadata(name, dict(values))
 
     def close(self) -> None:
@@ -116,7 +116,7 @@ class BagWriter:
         """
         if self._output.file.closed:
             return
-        with self._output, telling(self.path):
+        with self._output, as_output_errors(self.path):
             self._writer.finish()  # type: ignore[no-untyped-call]
 
     def discard(self) -> None:

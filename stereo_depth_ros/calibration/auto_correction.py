@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The closed loop that keeps rows together: from row errors of rectified pairs to the rig to rectify with next."""
+"""Automatic correction of the rig: a closed loop from row errors of rectified pairs to the next rectification."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from stereo_depth_ros.core.types import F64
 
 __all__ = ["AutoCorrection", "Correction"]
 
-MIN_FRAMES = 5  # of a misalignment, before it is believed: a truck that fills an image is gone by then
-STALE_PAIRS = 2  # that may be on their way still, rectified as before
+MIN_FRAMES = 5  # before a misalignment is corrected: a vehicle that fills the image has passed by then
+STALE_PAIRS = 2  # in transit when the rig changes, rectified with the previous one
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """By how much the right camera in use differs from the calibrated one.
+    """Difference of the right camera in use from the calibrated one.
 
     Attributes:
         rotation_deg: float64 (3,), rotation vector about x, y, z of the rectified camera: pitch, yaw, roll.
-        scale: of the focal length, as a share.
-        steps: how many corrections led there.
+        scale: relative change of the focal length.
+        steps: number of corrections applied.
     """
 
     rotation_deg: F64
@@ -42,16 +42,16 @@ class Correction:
 
 
 class AutoCorrection:
-    """Corrects what is beyond doubt, as far as it may, and begins to look anew after each correction.
+    """Corrects significant misalignments within limits, and restarts the estimate after each correction.
 
     Args:
         rig: as calibrated.
-        limits: of all corrections together.
+        limits: of the total correction.
         reference_yaw_deg: see :func:`~stereo_depth_ros.calibration.misalignment.corrected_rig`.
 
     Attributes:
-        rig: to rectify with, from now on.
-        refusal: why the newest misalignment is not corrected; empty where there is none or it is.
+        rig: to rectify the next pairs with.
+        refusal: why the newest misalignment is not corrected; empty if it is, or if none is detected.
     """
 
     def __init__(
@@ -65,11 +65,12 @@ class AutoCorrection:
         self._steps = 0
         self.refusal = ""
 
-    def look(self, matches: RowMatches) -> tuple[Misalignment | None, bool]:
-        """Takes the row errors of a pair that :attr:`rig` has rectified.
+    def add(self, matches: RowMatches) -> tuple[Misalignment | None, bool]:
+        """Add the row errors of a pair that was rectified with :attr:`rig`.
 
         Returns:
-            What the pairs since the last correction say, None while they are too few; and whether the rig was changed.
+            The misalignment over the pairs since the last correction, None while they are too few; and whether the rig
+            was changed.
         """
         if self._stale:
             self._stale -= 1
@@ -89,7 +90,7 @@ class AutoCorrection:
 
     @property
     def correction(self) -> Correction:
-        """All that has been applied, together."""
+        """The total correction applied so far."""
         return _difference(self._calibrated, self.rig, self._steps)
 
     def _apply(self, corrected: StereoRig) -> None:
@@ -103,8 +104,11 @@ class AutoCorrection:
         largest_deg = float(np.abs(total.rotation_deg).max())
         if largest_deg > self._limits.rotation_deg or abs(total.scale) > self._limits.scale:
             raise CalibrationError(
-                f"the corrections together come to {largest_deg:.3f} degrees and {100 * total.scale:+.2f} % of the "
-                f"focal length, limits {self._limits.rotation_deg:g} and {100 * self._limits.scale:g}: calibrate again"
+                f"the total correction would be {largest_deg:.3f} degrees and {100 * total.scale:+.2f} % of the focal "
+                f"length, limits {self._limits.rotation_deg:g} and {100 * self._limits.scale:g} %",
+                value=(largest_deg, total.scale),
+                limit=(self._limits.rotation_deg, self._limits.scale),
+                remedy="calibrate again",
             )
 
 

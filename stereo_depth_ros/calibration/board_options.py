@@ -26,18 +26,18 @@ def create_board(
     dictionary: str = "DICT_4X4_50",
     spacing: float = 0.3,
 ) -> Board:
-    """A board by its name.
+    """Create a board of a kind.
 
     Args:
         kind: "chessboard", "charuco" or "aprilgrid".
         size: columns, rows: inner corners of a chessboard, squares of a ChArUco board, tags of an aprilgrid.
         square_m: side of a square, or of a tag of an aprilgrid, meters.
         marker_m: side of a marker of a ChArUco board, meters; None is 3/4 of the square.
-        dictionary: markers of a ChArUco board, as OpenCV names them.
+        dictionary: OpenCV name of the marker dictionary of a ChArUco board.
         spacing: gap between the tags of an aprilgrid, as a share of ``square_m``.
 
     Raises:
-        ConfigError: an unknown kind, a size or a length that cannot be, or an OpenCV without the detector.
+        ConfigError: an unknown kind, a size or a length out of range, or an OpenCV without the detector.
     """
     makers: Mapping[str, Callable[[], Board]] = {
         "chessboard": lambda: Chessboard(size, square_m),
@@ -45,17 +45,25 @@ def create_board(
         "aprilgrid": lambda: AprilGrid(size, square_m, spacing),
     }
     if kind not in makers:
-        raise ConfigError(f"board {kind!r} is none of {', '.join(BOARDS)}: name one of them")
+        raise ConfigError(
+            f"board {kind!r} is none of {', '.join(BOARDS)}",
+            value=kind,
+            limit=BOARDS,
+            remedy="use one of them",
+            settings=("board",),
+        )
     return makers[kind]()
 
 
 def parse_board_size(text: str) -> tuple[int, int]:
-    """Columns and rows of "9x6".
+    """Columns and rows of a text such as "9x6".
 
     Raises:
-        ConfigError: another text.
+        ConfigError: a text of another form.
     """
     match = re.fullmatch(r"(\d+)[xX](\d+)", text.strip())
     if not match:
-        raise ConfigError(f"board size {text!r} is not columns x rows: write it as 9x6")
+        raise ConfigError(
+            f"board size {text!r} is not columns x rows", value=text, remedy="write it as 9x6", settings=("size",)
+        )
     return int(match[1]), int(match[2])

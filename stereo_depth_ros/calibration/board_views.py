@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Views of a board by both cameras: how each lies in the image, what all of them cover and what is missing."""
+"""Views of a board by both cameras: placement in the image, coverage of all views, and advice on missing views."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from stereo_depth_ros.core.types import F64
 
 __all__ = ["BoardView", "Coverage", "Placement", "ViewCollector", "placement"]
 
-# as camera_calibration of ROS has them: what full coverage is, and how different a view has to be
+# Full coverage, and the distance of a new view from all others, as in camera_calibration of ROS
 _FULL = {"x": 0.7, "y": 0.7, "size": 0.4, "skew": 0.5}
-_NEW = 0.2
-_EDGE = 0.15  # a position this near to 0 or 1 has reached that end
+_MIN_DISTANCE = 0.2
+_EDGE = 0.15  # from 0 or 1, within which a position counts as at that end
 
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """A board as both cameras see it.
+    """A board detected by both cameras.
 
     Attributes:
         name: of the pair, for messages: a file, or a stamp.
         size: width, height of both images, px.
-        left, right: its corners, in the same order where the board does not number them.
+        left, right: corners of the board, in the same order where the board does not number them.
     """
 
     name: str
@@ -39,12 +39,12 @@ class BoardView:
 
 
 class Placement(NamedTuple):
-    """How a board lies in an image, each within 0..1.
+    """Placement of a board in an image, each value within 0..1.
 
     Attributes:
         x, y: position, 0 where the board touches the left or upper edge, 1 where it touches the right or lower one.
-        size: square root of the share of the image that the board takes.
-        skew: how far the angle at a corner of the board is from a right one; 1 is 30 degrees or more.
+        size: square root of the board's share of the image area.
+        skew: difference of the angle at a corner of the board from a right angle; 1 is 30 degrees or more.
     """
 
     x: float
@@ -54,7 +54,7 @@ class Placement(NamedTuple):
 
 
 def placement(corners: Corners, size: tuple[int, int]) -> Placement:
-    """How a board lies in an image of ``size`` (width, height), as camera_calibration of ROS measures it."""
+    """Placement of a board in an image of ``size`` (width, height), as camera_calibration of ROS measures it."""
     points = corners.image_px
     area = cv2.contourArea(cv2.convexHull(points.astype(np.float32)))
     border = float(np.sqrt(area))
@@ -66,7 +66,7 @@ def placement(corners: Corners, size: tuple[int, int]) -> Placement:
 
 
 def _skew(corners: Corners) -> float:
-    """From the angle between a row and a column of the board, at the corner where they meet."""
+    """Skew from the angle between a row and a column of the board, at the corner where they meet."""
     board = corners.board_m[:, :2]
     origin, across, down = (
         corners.image_px[int(np.argmin(board @ direction))]
@@ -82,11 +82,11 @@ def _skew(corners: Corners) -> float:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How far views cover what a calibration needs.
+    """Coverage of the image by views.
 
     Attributes:
-        x, y, size, skew: 0..1, 1 is enough.
-        missing: what to do about it, a sentence each; empty where all is covered.
+        x, y, size, skew: 0..1, 1 is sufficient for a calibration.
+        missing: what to show next, a sentence each; empty where the coverage is complete.
     """
 
     x: float
@@ -102,7 +102,7 @@ class Coverage:
 
     @classmethod
     def of(cls, placements: Sequence[Placement]) -> Coverage:
-        """Of views, by how the board lies in their left images; a small board or a straight one covers nothing."""
+        """Coverage by placements in the left images; size and skew count from 0."""
         if not placements:
             return cls(0.0, 0.0, 0.0, 0.0, ("show the board to both cameras",))
         values: F64 = np.array(placements, np.float64)
@@ -129,10 +129,10 @@ def _missing_position(low: float, high: float, reached: float, edges: tuple[str,
 
 
 class ViewCollector:
-    """Takes the views that are new among those it has, one after the other.
+    """Collects views that differ from those collected before.
 
     Attributes:
-        views: those taken so far.
+        views: collected so far.
     """
 
     def __init__(self) -> None:
@@ -140,12 +140,12 @@ class ViewCollector:
         self._placements: list[Placement] = []
 
     def is_new(self, left: Corners, size: tuple[int, int]) -> bool:
-        """Whether the board lies otherwise than in every view taken, by its corners in the left image."""
+        """Whether the placement in the left image differs from those of all views."""
         place = np.array(placement(left, size))
-        return all(float(np.abs(place - other).sum()) > _NEW for other in np.array(self._placements))
+        return all(float(np.abs(place - other).sum()) > _MIN_DISTANCE for other in np.array(self._placements))
 
     def add(self, view: BoardView) -> bool:
-        """Takes the view if it is new; whether it was taken."""
+        """Add the view if it is new; return whether it was added."""
         if not self.is_new(view.left, view.size):
             return False
         self.views.append(view)
@@ -154,5 +154,5 @@ class ViewCollector:
 
     @property
     def coverage(self) -> Coverage:
-        """What the views taken so far cover."""
+        """Coverage of the views collected so far."""
         return Coverage.of(self._placements)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all calibration boards share: the corners seen of one, their refinement, and the sharpness of an image."""
+"""Calibration boards: the interface, and sub-pixel refinement and sharpness of their corners."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ __all__ = [
 ]
 
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
-MIN_CORNERS = 8  # 8 points fix the pose of a view (6 numbers) and leave 10 measurements for the rest
+MIN_CORNERS = 8  # 16 coordinates determine the 6 of the pose and leave 10 for the cameras
 _MAX_HALF_WINDOW = 5  # px
-# Width of edges up to which an image is sharp: as a share of the squares, at least and at most, px, and of the width
-_SOFT_OF_SPACING, _SHARP_PX, _SOFT_PX, _SOFT_SHARE = 0.3, 3.9, 5.0, 0.005
+# Largest edge width of a sharp image: share of the corner spacing, within px limits; the upper one grows with the width
+_SPACING_SHARE, _LEAST_LIMIT_PX, _LARGEST_LIMIT_PX, _WIDTH_SHARE = 0.3, 3.9, 5.0, 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """What was seen of a board in one image.
+    """Corners of a board detected in one image.
 
     Attributes:
         ids: int (N,), numbers of the corners on the board, unique.
-        board_m: float64 (N, 3), where they are on the board, meters, z = 0.
-        image_px: float64 (N, 2), where they are in the image, columns x, y, px.
+        board_m: float64 (N, 3), positions on the board, meters, z = 0.
+        image_px: float64 (N, 2), positions in the image, columns x, y, px.
     """
 
     ids: npt.NDArray[np.int64]
@@ -46,52 +46,59 @@ class Corners:
 
 
 class Board(Protocol):
-    """A board that can be found in images.
+    """A board that can be detected in images.
 
     Attributes:
         size: columns, rows, as the user counts them.
-        counted: what ``size`` counts.
+        counted: name of what ``size`` counts.
     """
 
     size: tuple[int, int]
     counted: str
 
     def detect(self, gray: U8) -> Corners | None:
-        """The corners in an image, uint8 (H, W); None where the board is not found."""
+        """Corners in an image, uint8 (H, W); None where the board is not found."""
 
     def align(self, left: Corners, right: Corners) -> Corners:
-        """The right corners in the order of the left ones, where the board itself does not tell its orientation."""
+        """The right corners in the order of the left ones, where the orientation of the board is ambiguous."""
 
 
 def check_board_size(size: tuple[int, int], square_m: float, smallest: int, counted: str) -> None:
-    """Refuses boards that cannot be.
+    """Check the size of a board and of its squares.
 
     Raises:
         ConfigError: fewer than ``smallest`` columns or rows, or a square that is not 1 mm to 1 m.
     """
     if min(size) < smallest:
         raise ConfigError(
-            f"size {size[0]}x{size[1]} is below {smallest}x{smallest}: count the {counted}, columns x rows, such as 9x6"
+            f"size {size[0]}x{size[1]} is below {smallest}x{smallest}",
+            value=size,
+            limit=smallest,
+            remedy=f"count the {counted}, columns x rows, such as 9x6",
+            settings=("size",),
         )
     if not MIN_SQUARE_M <= square_m <= MAX_SQUARE_M:
         raise ConfigError(
-            f"square {square_m:g} m is outside {MIN_SQUARE_M:g}..{MAX_SQUARE_M:g} m: it is given in meters, "
-            f"{square_m:g} mm are {square_m / 1000:g}"
+            f"square {square_m:g} m is outside {MIN_SQUARE_M:g}..{MAX_SQUARE_M:g} m",
+            value=square_m,
+            limit=(MIN_SQUARE_M, MAX_SQUARE_M),
+            remedy=f"give meters, {square_m:g} mm are {square_m / 1000:g}",
+            settings=("square",),
         )
 
 
 def is_sharp(gray: U8, corners: Corners) -> bool:
-    """Whether the edges at the corners are steep enough for exact positions; the smaller the squares, the steeper."""
-    finest_px, coarsest_px = _SHARP_PX, max(_SOFT_PX, _SOFT_SHARE * gray.shape[1])
-    limit_px = np.clip(_SOFT_OF_SPACING * _spacing_px(corners), finest_px, coarsest_px)
+    """Whether the edges at the corners are sharp enough for exact positions; smaller squares need sharper edges."""
+    largest_px = max(_LARGEST_LIMIT_PX, _WIDTH_SHARE * gray.shape[1])
+    limit_px = np.clip(_SPACING_SHARE * _spacing_px(corners), _LEAST_LIMIT_PX, largest_px)
     return bool(edge_width_px(gray, corners) <= limit_px)
 
 
 def edge_width_px(gray: U8, corners: Corners) -> float:
-    """How many pixels the edges at the corners take from dark to bright, their median; many in blurred images.
+    """Median width of the edges at the corners, px: contrast over the steepest slope around each corner.
 
-    Contrast over the steepest slope, around each corner. Two sets of sharp 640x480 images have 2.4 to 3.7 px, the
-    same images blurred by a Gaussian of 2 px have 5.2 px and more.
+    Two sets of sharp 640x480 images have 2.4 to 3.7 px, the same images blurred by a Gaussian of 2 px have 5.2 px and
+    more.
     """
     half = int(np.clip(_spacing_px(corners) / 3, 3, 12))
     smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7)
@@ -112,12 +119,12 @@ def _spacing_px(corners: Corners) -> float:
 
 
 def refine_corners(gray: U8, corners_px: F64, spacing_px: float) -> F64:
-    """Corners to a small part of a pixel, by the gradients around each (Foerstner 1987, OpenCV's cornerSubPix).
+    """Sub-pixel corners from the gradients around each corner (Foerstner 1987, OpenCV's cornerSubPix).
 
     Args:
         gray: uint8 (H, W).
         corners_px: float64 (N, 2), within a pixel or two.
-        spacing_px: smallest distance of two corners, px; the window keeps clear of the neighbors.
+        spacing_px: smallest distance between two corners, px; limits the window to exclude neighboring corners.
     """
     half = int(np.clip(spacing_px / 3, 1, _MAX_HALF_WINDOW))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)

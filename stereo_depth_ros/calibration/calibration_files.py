@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a calibration: left.yaml and right.yaml for ROS, calibration.json and calibration.txt for people."""
+"""Files of a calibration: camera infos left.yaml and right.yaml, report calibration.json and calibration.txt."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["calibration_files", "save_calibration", "write_camera"]
 
 
 def calibration_files(folder: Path) -> list[Path]:
-    """What :func:`save_calibration` writes into a folder."""
+    """Paths that :func:`save_calibration` writes in a folder."""
     return [folder / name for name in ("left.yaml", "right.yaml", "calibration.json", "calibration.txt")]
 
 
 def save_calibration(calibration: StereoCalibration, folder: Path, *, overwrite: bool = False) -> None:
-    """Writes the files into a folder, which is made where it is not there.
+    """Write the files into a folder, which is created if missing.
 
     Args:
         calibration: what was found.
@@ -31,7 +31,7 @@ def save_calibration(calibration: StereoCalibration, folder: Path, *, overwrite:
         overwrite: replace the files that are there.
 
     Raises:
-        OutputError: one of them is there and ``overwrite`` is false (then none is written), or cannot be written.
+        OutputError: one of the files exists and ``overwrite`` is false (then none is written), or cannot be written.
     """
     left, right, values, report = calibration_files(folder)
     check_outputs([left, right, values, report], overwrite=overwrite)
@@ -43,7 +43,7 @@ def save_calibration(calibration: StereoCalibration, folder: Path, *, overwrite:
 
 
 def write_camera(path: Path, camera: CameraModel, camera_name: str, *, overwrite: bool = False) -> None:
-    """Writes a camera file in the format of ``camera_calibration``, every number with all its digits.
+    """Write a camera file in the format of ``camera_calibration``, every number with all its digits.
 
     Raises:
         OutputError: the file exists and ``overwrite`` is false, or it cannot be written.
@@ -57,7 +57,7 @@ def _report(calibration: StereoCalibration) -> Iterator[str]:
     yield f"baseline {1e3 * c.baseline_m:.3f} +- {1e3 * c.baseline_sigma_m:.3f} mm"
     yield f"rms left {c.left.rms_px:.4f} px, right {c.right.rms_px:.4f} px, both {c.rms_stereo_px:.4f} px"
     yield f"rms of each camera alone: left {c.left.rms_alone_px:.4f} px, right {c.right.rms_alone_px:.4f} px"
-    yield f"rows after rectification: rms {c.epipolar_rms_px:.4f} px"
+    yield f"row error after rectification: rms {c.epipolar_rms_px:.4f} px"
     for side, camera in (("left", c.left), ("right", c.right)):
         yield ""
         yield f"{side}: value and standard deviation"
@@ -74,4 +74,4 @@ def _report(calibration: StereoCalibration) -> Iterator[str]:
         )
     yield from (f"dropped {view.name}: {view.reason}" for view in c.dropped)
     yield from (f"warning: {text}" for text in c.warnings)
-    yield from (f"to do better: {text}" for text in c.coverage.missing)
+    yield from (f"to improve: {text}" for text in c.coverage.missing)

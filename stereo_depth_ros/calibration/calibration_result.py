@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a stereo calibration gives: both cameras, the rig, how well they fit and how well they are known."""
+"""Result of a stereo calibration: cameras, relative pose, errors, standard deviations, dropped views."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from stereo_depth_ros.calibration.projection import parameter_names
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["SolvedCamera", "StereoCalibration", "ViewFigures"]
+__all__ = ["CalibratedCamera", "StereoCalibration", "ViewErrors"]
 
 
 @dataclass(frozen=True, eq=False)
-class SolvedCamera:
-    """One camera.
+class CalibratedCamera:
+    """One calibrated camera.
 
     Attributes:
         K: float64 (3, 3), px.
         D: float64 (n,), coefficients of the distortion model.
         sigmas: standard deviations of fx, fy, cx, cy in px and of the coefficients, float64 (4 + n,).
-        rms_px: root mean square distance of seen and projected corners, both cameras solved together.
-        rms_alone_px: the same where this camera is solved alone.
+        rms_px: reprojection rms with both cameras calibrated together.
+        rms_alone_px: reprojection rms with this camera calibrated alone.
     """
 
     K: F64
@@ -38,7 +38,7 @@ class SolvedCamera:
     rms_alone_px: float
 
     def to_json(self, model: str) -> dict[str, Any]:
-        """Value and standard deviation of each parameter, by its name."""
+        """Value and standard deviation of each parameter by name."""
         values = [self.K[0, 0], self.K[1, 1], self.K[0, 2], self.K[1, 2], *self.D]
         return {
             name: {"value": float(value), "sigma": float(sigma)}
@@ -47,7 +47,7 @@ class SolvedCamera:
 
 
 @dataclass(frozen=True, eq=False)
-class ViewFigures:
+class ViewErrors:
     """One view that was used: corners of both cameras, float64 (N, 2), px, and their root mean square errors, px.
 
     ``rms_rows`` is NaN where both cameras see no corner in common.
@@ -61,7 +61,7 @@ class ViewFigures:
     rms_rows: float
 
     def to_json(self) -> dict[str, Any]:
-        """The errors; None where there is none."""
+        """The errors in types of JSON; NaN becomes None."""
         rows = self.rms_rows if math.isfinite(self.rms_rows) else None
         return {"name": self.name, "rms_left": self.rms_left, "rms_right": self.rms_right, "rms_rows": rows}
 
@@ -77,20 +77,19 @@ class StereoCalibration:
         T: float64 (3,), meters.
         R_sigma_deg: standard deviations of the rotation about x, y, z of the right camera, float64 (3,), degrees.
         T_sigma_m: of T, float64 (3,), meters.
-        baseline_sigma_m: of the length of T. What the board's own size is wrong by is not in it.
-        rms_stereo_px: root mean square distance over all corners of both cameras.
-        epipolar_rms_px: root mean square difference of rows of the corners after rectification, px of the rectified
-            images.
+        baseline_sigma_m: of the length of T; errors of the board size are not included.
+        rms_stereo_px: reprojection rms over all corners of both cameras.
+        epipolar_rms_px: rms row error of the corners after rectification, px of the rectified images.
         rig: both cameras, rectified.
-        views: those that were used.
-        dropped: those that were left out, with the reason.
+        views: that were used.
+        dropped: views that were rejected, with the reason.
         coverage: of the views that were used.
-        warnings: what makes the result less good than its figures, a sentence each.
+        warnings: reasons why the result may be worse than the errors indicate, a sentence each.
     """
 
     model: str
-    left: SolvedCamera
-    right: SolvedCamera
+    left: CalibratedCamera
+    right: CalibratedCamera
     R: F64
     T: F64
     R_sigma_deg: F64
@@ -99,14 +98,14 @@ class StereoCalibration:
     rms_stereo_px: float
     epipolar_rms_px: float
     rig: StereoRig
-    views: tuple[ViewFigures, ...]
+    views: tuple[ViewErrors, ...]
     dropped: tuple[DroppedView, ...]
     coverage: Coverage
     warnings: tuple[str, ...]
 
     @property
     def baseline_m(self) -> float:
-        """Distance of the two optical centers, meters."""
+        """Distance between the optical centers, meters."""
         return float(np.linalg.norm(self.T))
 
     @property
@@ -115,7 +114,7 @@ class StereoCalibration:
         return self.rig.width, self.rig.height
 
     def to_json(self) -> dict[str, Any]:
-        """All figures in types that JSON has."""
+        """All values in types of JSON."""
         coverage = {name: getattr(self.coverage, name) for name in ("x", "y", "size", "skew")}
         return {
             "model": self.model,

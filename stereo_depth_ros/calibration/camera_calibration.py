@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One camera from views of a board: a first guess for any lens, the solution, views that do not fit."""
+"""Calibration of one camera from views of a board: initial parameters, solution, outlier views."""
 
 from __future__ import annotations
 
@@ -11,116 +11,126 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.calibration.boards import Corners
-from stereo_depth_ros.calibration.bundle_adjustment import BundleAdjustment, Estimate, adjust_bundle
+from stereo_depth_ros.calibration.bundle_adjustment import BundleParameters, BundleSolution, adjust_bundle
 from stereo_depth_ros.calibration.projection import MODELS, camera_matrix, project
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.geometry.rays import normalized_points
 
-__all__ = ["MIN_LIMIT_PX", "MIN_VIEWS", "DroppedView", "OneCamera", "calibrate_camera", "worst_view"]
+__all__ = ["MIN_LIMIT_PX", "MIN_VIEWS", "CameraSolution", "DroppedView", "calibrate_camera", "outlier_view"]
 
 MIN_VIEWS = 5  # 3 determine a pinhole; two more show that they agree
-_FIELDS_OF_VIEW_DEG = (12, 20, 30, 40, 50, 60, 75, 90, 110, 130)  # across, of lenses to begin with
+_FIELDS_OF_VIEW_DEG = (12, 20, 30, 40, 50, 60, 75, 90, 110, 130)  # horizontal, candidates for the initial camera
 _WIDE_DEG = (45, 60, 80, 100, 120, 140, 160, 180, 200, 220)
-_MAX_ANGLE = np.radians(80)  # from the axis, of points that a first guess uses
-_SPREADS, _TIMES = 6.0, 2.5  # a view is dropped above the others' median + 6 sigma and above 2.5 times their median
-MIN_LIMIT_PX = 0.1  # whatever the others': no corner is found better
+_MAX_TANGENT = np.tan(np.radians(80))  # of the angle from the axis, of corners used for the initial pose
+_MAX_SIGMAS, _MAX_RATIO = 6.0, 2.5  # a view is dropped above median + 6 sigma and 2.5 times the median of the others
+MIN_LIMIT_PX = 0.1  # of the rms of a view: corners are not detected more exactly
 
 
 @dataclass(frozen=True)
 class DroppedView:
-    """A view that was left out, and why, in one sentence."""
+    """A view that was rejected, and the reason in one sentence."""
 
     name: str
     reason: str
 
 
 @dataclass(frozen=True, eq=False)
-class OneCamera:
-    """A camera by itself.
+class CameraSolution:
+    """Calibration of one camera alone.
 
     Attributes:
-        adjustment: the solution over the views that are kept.
-        kept: numbers of those views.
-        dropped: the others.
+        solution: over the views that are kept.
+        kept: indices of those views.
+        dropped: the other views.
     """
 
-    solution: BundleAdjustment
+    solution: BundleSolution
     kept: list[int]
     dropped: list[DroppedView]
 
 
 def calibrate_camera(
     names: Sequence[str], views: Sequence[Corners], size: tuple[int, int], model: str, side: str
-) -> OneCamera:
-    """The camera from views of a flat board.
+) -> CameraSolution:
+    """Calibrate one camera from views of a flat board, without the views that do not fit.
 
     Args:
         names: of the views, for messages.
-        views: the corners of each.
+        views: the corners of each view.
         size: width, height of the images, px.
         model: distortion model.
-        camera: "left" or "right", for messages.
+        side: "left" or "right", for messages.
 
     Raises:
         CalibrationError: too few views agree, or they do not determine the camera.
     """
-    start, lost = _first_guess(views, size, model)
-    dropped = [DroppedView(names[number], f"{side}: no pose of the board explains its corners") for number in lost]
-    kept = [number for number in range(len(views)) if number not in lost]
+    start, without_pose = _initial_parameters(views, size, model)
+    dropped = [
+        DroppedView(names[number], f"{side}: no pose of the board explains its corners") for number in without_pose
+    ]
+    kept = [number for number in range(len(views)) if number not in without_pose]
     while True:
         if len(kept) < MIN_VIEWS:
-            raise too_few(len(kept), dropped)
+            raise too_few_views(len(kept), dropped)
         solution = adjust_bundle([(views[number],) for number in kept], start, robust=True)
-        worst = worst_view(solution.view_rms_px(0))
+        worst = outlier_view(solution.view_rms_px(0))
         if worst is None:
             break
         at, reason = worst
         dropped.append(DroppedView(names[kept[at]], f"{side}: {reason}"))
-        start = _without(solution.estimate, at)
+        start = _without(solution.parameters, at)
         del kept[at]
-    return OneCamera(adjust_bundle([(views[number],) for number in kept], solution.estimate), kept, dropped)
+    return CameraSolution(adjust_bundle([(views[number],) for number in kept], solution.parameters), kept, dropped)
 
 
-def too_few(count: int, dropped: Sequence[DroppedView]) -> CalibrationError:
-    """The error of fewer views than a calibration takes."""
+def too_few_views(count: int, dropped: Sequence[DroppedView]) -> CalibrationError:
+    """The error for fewer views than a calibration needs."""
     without = f" ({len(dropped)} dropped: {'; '.join(f'{view.name}, {view.reason}' for view in dropped)})"
     return CalibrationError(
-        f"{count} views of the board{without if dropped else ''}, at least {MIN_VIEWS} are needed and 20 are good: "
-        "take more pairs in which both cameras see the whole board, near and far, tilted, in all parts of the image"
+        f"{count} views of the board{without if dropped else ''}, at least {MIN_VIEWS} are needed and 20 are good",
+        value=count,
+        limit=MIN_VIEWS,
+        remedy="record more pairs in which both cameras see the whole board, near and far, tilted, in all parts of the "
+        "image",
     )
 
 
-def worst_view(view_rms_px: F64) -> tuple[int, str] | None:
-    """The view that fits least, where it is far from what the others scatter; and the reason in words."""
+def outlier_view(view_rms_px: F64) -> tuple[int, str] | None:
+    """Index of the view of largest rms and the reason, where it is an outlier among the others; else None."""
     at = int(np.argmax(view_rms_px))
     others = np.delete(view_rms_px, at)
     median = float(np.median(others))
     sigma = 1.4826 * float(np.median(np.abs(others - median)))
-    limit = max(median + _SPREADS * sigma, _TIMES * median, MIN_LIMIT_PX)
+    limit = max(median + _MAX_SIGMAS * sigma, _MAX_RATIO * median, MIN_LIMIT_PX)
     if view_rms_px[at] <= limit:
         return None
-    return at, f"reprojection rms {view_rms_px[at]:.2f} px, the other views have {median:.2f} px (limit {limit:.2f} px)"
+    return (
+        at,
+        f"reprojection rms {view_rms_px[at]:.2f} px, median of the other views {median:.2f} px, limit {limit:.2f} px",
+    )
 
 
-def _without(estimate: Estimate, at: int) -> Estimate:
-    return replace(estimate, poses=np.delete(estimate.poses, at, axis=0))
+def _without(parameters: BundleParameters, at: int) -> BundleParameters:
+    return replace(parameters, poses=np.delete(parameters.poses, at, axis=0))
 
 
-def _first_guess(views: Sequence[Corners], size: tuple[int, int], model: str) -> tuple[Estimate, set[int]]:
-    """A lens without distortion whose focal length explains the views best, and the views it cannot explain at all.
+def _initial_parameters(
+    views: Sequence[Corners], size: tuple[int, int], model: str
+) -> tuple[BundleParameters, set[int]]:
+    """Parameters with the focal length of least median rms and all coefficients 0; indices of views without a pose.
 
-    The coefficients begin at 0, which for "equidistant" is a fisheye. Works where cv2.fisheye.calibrate gives up on one
-    view and does not say which.
+    Works where cv2.fisheye.calibrate fails because of one view and does not state which.
     """
-    guesses = []
+    candidates = []
     for focal_px in _focal_lengths_px(model, size[0]):
         intrinsics = np.array([focal_px, focal_px, (size[0] - 1) / 2, (size[1] - 1) / 2, *[0.0] * len(MODELS[model])])
-        fits = [_first_pose(model, intrinsics, corners) for corners in views]
-        guesses.append((float(np.median([rms for _, rms in fits])), intrinsics, fits))
-    _, intrinsics, fits = min(guesses, key=lambda guess: guess[0])
-    lost = {number for number, (_, rms) in enumerate(fits) if not np.isfinite(rms)}
+        fits = [_initial_pose(model, intrinsics, corners) for corners in views]
+        candidates.append((float(np.median([rms for _, rms in fits])), intrinsics, fits))
+    _, intrinsics, fits = min(candidates, key=lambda candidate: candidate[0])
+    without_pose = {number for number, (_, rms) in enumerate(fits) if not np.isfinite(rms)}
     poses = np.array([pose for pose, rms in fits if np.isfinite(rms)]).reshape(-1, 6)
-    return Estimate(model, (intrinsics,), np.zeros(6), poses), lost
+    return BundleParameters(model, (intrinsics,), np.zeros(6), poses), without_pose
 
 
 def _focal_lengths_px(model: str, width: int) -> F64:
@@ -129,16 +139,17 @@ def _focal_lengths_px(model: str, width: int) -> F64:
     return np.asarray(width / 2 / np.tan(np.radians(_FIELDS_OF_VIEW_DEG) / 2), np.float64)
 
 
-def _first_pose(model: str, intrinsics: F64, corners: Corners) -> tuple[F64, float]:
-    """Pose and rms in px by a method for planes; infinite where there is none."""
+def _initial_pose(model: str, intrinsics: F64, corners: Corners) -> tuple[F64, float]:
+    """Board pose by a method for planes (IPPE) and its rms, px; the rms is infinite where no pose is found."""
     none = np.zeros(6), np.inf
-    rays, usable = _rays(model, intrinsics, corners.image_px)
+    rays = normalized_points(corners.image_px, model, camera_matrix(intrinsics), intrinsics[4:])
+    usable = np.linalg.norm(rays, axis=1) < _MAX_TANGENT
     if usable.sum() < 4:
         return none
     points, rays = corners.board_m[usable].reshape(-1, 1, 3), rays[usable].reshape(-1, 1, 2)
     try:
         found, rotation, translation = cv2.solvePnP(points, rays, np.identity(3), None, flags=cv2.SOLVEPNP_IPPE)
-    except cv2.error:  # the points are on a line
+    except cv2.error:  # collinear points
         return none
     if not found:
         return none
@@ -148,15 +159,3 @@ def _first_pose(model: str, intrinsics: F64, corners: Corners) -> tuple[F64, flo
     errors = project(model, intrinsics, pose, corners.board_m).image_px - corners.image_px
     rms = float(np.sqrt(np.square(errors).sum(axis=1).mean()))
     return (pose, rms) if np.isfinite(rms) else none
-
-
-def _rays(model: str, intrinsics: F64, image_px: F64) -> tuple[F64, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """Points at distance 1 in front of a lens without distortion coefficients, and which of them are usable."""
-    K = camera_matrix(intrinsics)
-    rays = (image_px - K[:2, 2]) / K[[0, 1], [0, 1]]
-    if model != "equidistant":
-        return rays, np.ones(len(rays), bool)
-    angles = np.linalg.norm(rays, axis=1)
-    usable = angles < _MAX_ANGLE
-    safe = np.clip(angles, 1e-9, _MAX_ANGLE)
-    return rays * (np.tan(safe) / safe)[:, None], usable

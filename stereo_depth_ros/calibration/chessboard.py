@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Chessboards: found by their squares, put in the same order in both cameras."""
+"""Chessboards: detection, and the same corner order in both cameras."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ __all__ = ["Chessboard"]
 
 
 class Chessboard:
-    """A chessboard, which is found when all of it is in the image.
+    """A chessboard; all of it must be in the image.
 
     Args:
         size: columns, rows of inner corners.
         square_m: side of a square, meters.
 
     Raises:
-        ConfigError: a size or a square that cannot be.
+        ConfigError: a size or a square out of range.
     """
 
     counted = "inner corners"
@@ -41,7 +41,7 @@ class Chessboard:
         found, corners = cv2.findChessboardCorners(
             gray, self.size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         )
-        if not found:  # slower, but finds blurred and strongly distorted boards
+        if not found:  # slower, but detects blurred and strongly distorted boards
             found, corners = cv2.findChessboardCornersSB(gray, self.size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not found:
             return None
@@ -50,21 +50,20 @@ class Chessboard:
         return Corners(self._ids, self._board_m, refined)
 
     def align(self, left: Corners, right: Corners) -> Corners:
-        """The right corners counted from the corner of the board that the left ones are counted from.
+        """The right corners in the order of the left ones.
 
-        A board looks the same when it is counted from another end. Of the orders that are possible the one is taken
-        that lies most like the left one; the cameras may be rolled against each other by less than 90 degrees, by less
-        than 45 degrees for a square board.
+        The first corner of a chessboard is ambiguous. Of the possible orders, the one most similar to the left corners
+        is used, which requires a relative roll of the cameras below 90 degrees, or 45 degrees for a square board.
         """
-        wanted = left.image_px - left.image_px.mean(axis=0)
+        expected = left.image_px - left.image_px.mean(axis=0)
 
-        def unlikeness(corners_px: F64) -> float:
-            return float(np.square(corners_px - corners_px.mean(axis=0) - wanted).sum())
+        def difference(corners_px: F64) -> float:
+            return float(np.square(corners_px - corners_px.mean(axis=0) - expected).sum())
 
-        return Corners(right.ids, right.board_m, min(self._orders(right.image_px), key=unlikeness))
+        return Corners(right.ids, right.board_m, min(self._orders(right.image_px), key=difference))
 
     def _orders(self, corners_px: F64) -> Iterator[F64]:
-        """The ways to count the same corners that leave a board of this size."""
+        """The orders of the corners that give a board of this size."""
         columns, rows = self.size
         grid = corners_px.reshape(rows, columns, 2)
         grids = (grid, grid.transpose(1, 0, 2)) if rows == columns else (grid,)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boards whose corners carry numbers: ChArUco and aprilgrid, by the detectors of cv2.aruco."""
+"""Boards with numbered markers: ChArUco and aprilgrid, detected by cv2.aruco."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from stereo_depth_ros.core.types import F64, U8
 __all__ = ["AprilGrid", "CharucoBoard"]
 
 _TAGS = 587  # of the family 36h11
-_SMALL_WIDTH = 1000  # px; tags in smaller images are looked for at twice the size
-_MISFIT = 0.25  # of a tag's side: more than lens distortion moves a corner against its tag, less than a wrong layout
+_SMALL_WIDTH = 1000  # px; smaller images are enlarged twice to detect tags
+_MAX_MISFIT = 0.25  # of a tag's side: above the effect of lens distortion, below that of a wrong layout
 
 
 class CharucoBoard:
-    """A chessboard with markers in its white squares; a part of it in the image is enough.
+    """A chessboard with markers in its white squares; part of it in the image is sufficient.
 
     Args:
         size: columns, rows of squares.
@@ -30,7 +30,7 @@ class CharucoBoard:
         dictionary: name of the markers' dictionary, such as "DICT_4X4_50".
 
     Raises:
-        ConfigError: a size, length or name that cannot be, or an OpenCV before 4.7.
+        ConfigError: a size or length out of range, an unknown name, or an OpenCV before 4.7.
     """
 
     counted = "squares"
@@ -39,26 +39,34 @@ class CharucoBoard:
         check_board_size(size, square_m, 3, self.counted)
         if not 0 < marker_m < square_m:
             raise ConfigError(
-                f"marker {marker_m:g} m is not within 0..{square_m:g} m, the side of a square: measure it, in meters"
+                f"marker {marker_m:g} m is not within 0..{square_m:g} m, the side of a square",
+                value=marker_m,
+                limit=(0.0, square_m),
+                remedy="measure the side of a marker, in meters",
+                settings=("marker",),
             )
         self.size = size
         markers = _aruco_dictionary(dictionary)
-        if size[0] * size[1] // 2 > len(markers.bytesList):
+        count = size[0] * size[1] // 2
+        if count > len(markers.bytesList):
             raise ConfigError(
-                f"{dictionary} has {len(markers.bytesList)} markers, a board of {size[0]}x{size[1]} squares has "
-                f"{size[0] * size[1] // 2}: name the dictionary it was made with"
+                f"{dictionary} has {len(markers.bytesList)} markers, {size[0]}x{size[1]} squares have {count}",
+                value=count,
+                limit=len(markers.bytesList),
+                remedy="use the dictionary that the board was generated with",
+                settings=("dictionary", "size"),
             )
         board = cv2.aruco.CharucoBoard(size, square_m, marker_m, markers)
         self._board_m = np.asarray(board.getChessboardCorners(), np.float64)
         self._detectors = [cv2.aruco.CharucoDetector(board)]
         if hasattr(board, "setLegacyPattern") and size[1] % 2 == 0:
-            # before OpenCV 4.6 boards with an even number of rows began with a white square
+            # Before OpenCV 4.6 boards with an even number of rows had a white first square
             old = cv2.aruco.CharucoBoard(size, square_m, marker_m, markers)
             old.setLegacyPattern(True)
             self._detectors.append(cv2.aruco.CharucoDetector(old))
 
     def detect(self, gray: U8) -> Corners | None:
-        """The corners that have a marker beside them, or None."""
+        """Corners next to a detected marker, or None."""
         for detector in self._detectors:
             corners, ids, _, _ = detector.detectBoard(gray)
             if ids is None or len(ids) < MIN_CORNERS:
@@ -79,7 +87,7 @@ class CharucoBoard:
 
 
 class AprilGrid:
-    """A grid of AprilTags 36h11 as Kalibr lays it out: tag 0 at the lower left, the numbers go right, then up.
+    """A grid of AprilTags 36h11 in Kalibr's layout: tag 0 at the lower left, numbered to the right, then upward.
 
     Args:
         size: columns, rows of tags.
@@ -87,7 +95,7 @@ class AprilGrid:
         spacing: gap between two tags as a share of ``tag_m``.
 
     Raises:
-        ConfigError: a size or length that cannot be, or an OpenCV before 4.7.
+        ConfigError: a size or length out of range, or an OpenCV before 4.7.
     """
 
     counted = "tags"
@@ -95,9 +103,21 @@ class AprilGrid:
     def __init__(self, size: tuple[int, int], tag_m: float, spacing: float) -> None:
         check_board_size(size, tag_m, 2, self.counted)
         if not 0 < spacing < 2:
-            raise ConfigError(f"spacing {spacing:g} is outside 0..2: give the gap between two tags over a tag's side")
+            raise ConfigError(
+                f"spacing {spacing:g} is outside 0..2",
+                value=spacing,
+                limit=(0, 2),
+                remedy="give the gap between two tags divided by a tag's side",
+                settings=("spacing",),
+            )
         if size[0] * size[1] > _TAGS:
-            raise ConfigError(f"{size[0]}x{size[1]} tags are more than the {_TAGS} of the family 36h11: count again")
+            raise ConfigError(
+                f"{size[0]}x{size[1]} tags are more than the {_TAGS} of the family 36h11",
+                value=size[0] * size[1],
+                limit=_TAGS,
+                remedy="count the columns and rows of tags",
+                settings=("size",),
+            )
         self.size, self._tag_m = size, tag_m
         pitch_m = tag_m * (1 + spacing)
         tags = np.arange(size[0] * size[1])
@@ -108,7 +128,7 @@ class AprilGrid:
         self._detectors = [_tag_detector(bits) for bits in (2, 1)]  # Kalibr's border is two cells wide, others' one
 
     def detect(self, gray: U8) -> Corners | None:
-        """The corners of the tags that are seen, or None where they are too few or lie otherwise than in this grid."""
+        """Corners of the detected tags, or None where they are too few or not in the layout of this grid."""
         for detector in list(self._detectors):
             tags, corners_px = self._tags(detector, gray)
             if 4 * len(tags) < MIN_CORNERS:
@@ -131,11 +151,11 @@ class AprilGrid:
         return numbers[mine][order], corners_px[mine][order]
 
     def _numbered(self, tags: npt.NDArray[np.int64], corners_px: F64) -> Corners | None:
-        """With the number of each corner; makers of tags differ in which corner they call the first one."""
+        """Corners with their numbers; tag generators differ in which corner is the first one."""
         turned = [self._corners(tags, np.roll(corners_px, turn, axis=1)) for turn in range(4)]
         misfits = [_misfit(each, self._tag_m) for each in turned]
         best = int(np.argmin(misfits))
-        return turned[best] if misfits[best] <= _MISFIT else None
+        return turned[best] if misfits[best] <= _MAX_MISFIT else None
 
     def _corners(self, tags: npt.NDArray[np.int64], corners_px: F64) -> Corners:
         ids = (4 * tags[:, None] + np.arange(4)).ravel()
@@ -143,12 +163,12 @@ class AprilGrid:
 
 
 def _checked(corners: Corners, length_m: float) -> Corners | None:
-    """The corners, unless they are nearly on a line or do not lie as on the board."""
-    return corners if _misfit(corners, length_m) <= _MISFIT else None
+    """The corners, or None where they are nearly collinear or not in the layout of the board."""
+    return corners if _misfit(corners, length_m) <= _MAX_MISFIT else None
 
 
 def _misfit(corners: Corners, length_m: float) -> float:
-    """Median distance of the corners from where a plane's view would have them, in lengths on the board."""
+    """Median distance of the corners from a homography of the board, in units of ``length_m``."""
     if np.linalg.svd(corners.board_m[:, :2] - corners.board_m[:, :2].mean(axis=0), compute_uv=False)[1] < length_m / 2:
         return np.inf
     to_board, _ = cv2.findHomography(corners.image_px, corners.board_m[:, :2])
@@ -164,15 +184,15 @@ def _spacing_px(corners_px: F64) -> float:
 
 
 def _all_tags(detector: Any, gray: U8) -> tuple[npt.NDArray[np.int64], F64]:
-    """Numbers (N,) and corners (N, 4, 2) of tags, small ones too, by whichever of two ways finds more of them.
+    """Numbers (N,) and corners (N, 4, 2) of tags, in the image or in the dilated one, whichever gives more tags.
 
-    The black squares between the tags of Kalibr's boards touch their corners: a pixel of white parts them, but takes
+    The black squares between the tags of Kalibr's boards touch the tags' corners. Dilation separates them, but removes
     too much of the cells of small tags.
     """
     enlarged = 2 if gray.shape[1] < _SMALL_WIDTH else 1
     image = cv2.resize(gray, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_CUBIC) if enlarged > 1 else gray
-    parted = cv2.dilate(image, np.ones((3, 3), np.uint8))
-    quads, ids, _ = max((detector.detectMarkers(each) for each in (image, parted)), key=lambda found: len(found[0]))
+    dilated = cv2.dilate(image, np.ones((3, 3), np.uint8))
+    quads, ids, _ = max((detector.detectMarkers(each) for each in (image, dilated)), key=lambda found: len(found[0]))
     if ids is None:
         return np.zeros(0, np.int64), np.zeros((0, 4, 2))
     corners_px = (np.asarray(quads, np.float64).reshape(-1, 4, 2) + 0.5) / enlarged - 0.5
@@ -182,8 +202,11 @@ def _all_tags(detector: Any, gray: U8) -> tuple[npt.NDArray[np.int64], F64]:
 def _require_detectors() -> None:
     if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
         raise ConfigError(
-            f"OpenCV {cv2.__version__} has no marker detectors, they came with 4.7: install a newer "
-            "opencv-python-headless with pip, or take a chessboard"
+            f"OpenCV {cv2.__version__} has no marker detectors, which were added in 4.7",
+            value=cv2.__version__,
+            limit="4.7",
+            remedy="install a newer opencv-python-headless with pip, or use a chessboard",
+            settings=("board",),
         )
 
 
@@ -191,7 +214,13 @@ def _aruco_dictionary(name: str) -> Any:
     _require_detectors()
     known = [each for each in dir(cv2.aruco) if each.startswith("DICT_")]
     if name not in known:
-        raise ConfigError(f"dictionary {name!r} is none of {', '.join(known)}: name the one of the board")
+        raise ConfigError(
+            f"dictionary {name!r} is none of {', '.join(known)}",
+            value=name,
+            limit=tuple(known),
+            remedy="use the dictionary that the board was generated with",
+            settings=("dictionary",),
+        )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 

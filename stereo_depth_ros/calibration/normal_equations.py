@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Normal equations of a least-squares problem in which each view has a pose of its own beside what all views share."""
+"""Normal equations of a bundle adjustment: parameters that all views share, and one pose for each view."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _ROUNDING = 1e-13  # of the largest eigenvalue
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """What each of V views adds to J^T J and J^T r, over the S shared parameters and the 6 of its pose.
+    """Contributions of V views to J^T J and J^T r, over S shared parameters and the 6 parameters of each pose.
 
-    Poses are eliminated view by view (Schur complement), so that the work grows with V only.
+    Poses are eliminated view by view (Schur complement), so that the cost is linear in V.
 
     Attributes:
         normal: float64 (V, S + 6, S + 6).
@@ -39,48 +39,49 @@ class NormalEquations:
         return int(self.gradient.shape[1]) - POSE
 
     def step(self, damping: float) -> tuple[F64, F64]:
-        """Gauss and Newton's step of the shared parameters (S,) and of the poses (V, 6), damped as Marquardt does.
+        """Levenberg-Marquardt step of the shared parameters, float64 (S,), and of the poses, float64 (V, 6).
 
         Args:
-            damping: 0 or above, as a share of the diagonal.
+            damping: 0 or above, as a share of the diagonal of J^T J.
         """
         S = self.shared
         damped = self.normal.copy()
         poses = np.arange(S, S + POSE)
         damped[:, poses, poses] *= 1 + damping
-        reduced, gradient, to_pose, own_step = _eliminated(damped, self.gradient)
+        reduced, gradient, to_pose, pose_offset = _schur_complement(damped, self.gradient)
         total = reduced.sum(axis=0)
         total[np.diag_indices(S)] += damping * np.einsum("vii->i", self.normal)[:S]
         shared = -_scaled_solve(total, gradient.sum(axis=0))
-        return shared, -own_step - to_pose @ shared
+        return shared, -pose_offset - to_pose @ shared
 
     def covariance(self) -> F64:
-        """Inverse of the normal matrix, its part of the shared parameters, (S, S); times sigma squared of a residual.
+        """Covariance of the shared parameters for residuals of variance 1, float64 (S, S).
 
         Raises:
             CalibrationError: the views do not determine the parameters.
         """
-        total = _eliminated(self.normal, self.gradient)[0].sum(axis=0)
+        total = _schur_complement(self.normal, self.gradient)[0].sum(axis=0)
         return _inverse(total)
 
     def jackknife(self) -> F64:
-        """Covariance of the shared parameters at the minimum, (S, S), by how they move when one view is left out.
+        """Jackknife covariance of the shared parameters at the minimum, float64 (S, S), over views.
 
-        To first order in that move (Efron 1982, The jackknife, the bootstrap and other resampling plans).
+        Each view is removed in turn, to first order (Efron 1982, The jackknife, the bootstrap and other resampling
+        plans).
 
         Raises:
-            CalibrationError: the views do not determine the parameters when one of them is left out.
+            CalibrationError: the views do not determine the parameters without one of them.
         """
-        reduced, gradient, _, _ = _eliminated(self.normal, self.gradient)
+        reduced, gradient, _, _ = _schur_complement(self.normal, self.gradient)
         total, views = reduced.sum(axis=0), len(reduced)
-        moves = np.array([_inverse(total - own) @ g for own, g in zip(reduced, gradient, strict=True)])
-        centred = moves - moves.mean(axis=0)
-        covariance: F64 = (views - 1) / views * centred.T @ centred
+        changes = np.array([_inverse(total - each) @ g for each, g in zip(reduced, gradient, strict=True)])
+        centered = changes - changes.mean(axis=0)
+        covariance: F64 = (views - 1) / views * centered.T @ centered
         return covariance
 
 
-def _eliminated(normal: F64, gradient: F64) -> tuple[F64, F64, F64, F64]:
-    """Matrix and gradient of the shared parameters of each view, and what gives its pose's step from theirs."""
+def _schur_complement(normal: F64, gradient: F64) -> tuple[F64, F64, F64, F64]:
+    """Reduced matrix and gradient of each view; matrix and offset of the back substitution for its pose."""
     S = gradient.shape[1] - POSE
     mixed = normal[:, S:, :S]
     right = np.concatenate([mixed, gradient[:, S:, None]], axis=2)
@@ -88,14 +89,14 @@ def _eliminated(normal: F64, gradient: F64) -> tuple[F64, F64, F64, F64]:
         solved = np.linalg.solve(normal[:, S:, S:], right)
     except np.linalg.LinAlgError:
         solved = np.full_like(right, np.nan)
-    to_pose, own_step = solved[:, :, :S], solved[:, :, S]
+    to_pose, pose_offset = solved[:, :, :S], solved[:, :, S]
     across = mixed.transpose(0, 2, 1)
     reduced = normal[:, :S, :S] - across @ to_pose
-    return reduced, gradient[:, :S] - (across @ own_step[:, :, None])[:, :, 0], to_pose, own_step
+    return reduced, gradient[:, :S] - (across @ pose_offset[:, :, None])[:, :, 0], to_pose, pose_offset
 
 
 def _scaled_solve(matrix: F64, right: F64) -> F64:
-    """Solves with all parameters scaled alike: pixels and sixth powers of angles are far apart. NaN where singular."""
+    """Solve with parameters scaled to a unit diagonal, as their units differ widely; NaN where singular."""
     scale = _scale(matrix)
     try:
         return np.asarray(np.linalg.solve(matrix / np.outer(scale, scale), right / scale) / scale, np.float64)
@@ -109,10 +110,10 @@ def _scale(matrix: F64) -> F64:
 
 
 def _inverse(matrix: F64) -> F64:
-    """Of a symmetric matrix; what it leaves open, up to rounding, comes out large and not infinite.
+    """Inverse of a symmetric matrix; directions that are singular up to rounding become large, not infinite.
 
-    Coefficients of a rich lens model can be exchanged for each other without a trace in the image: the others are
-    known all the same.
+    Coefficients of a distortion model with many of them can compensate each other; the other parameters are still
+    determined.
     """
     scale = _scale(matrix)
     try:
@@ -121,8 +122,10 @@ def _inverse(matrix: F64) -> F64:
         values, vectors = np.zeros(1), np.zeros((1, 1))
     if not values[-1] > 0:
         raise CalibrationError(
-            "the views do not determine the cameras: tilt the board about both axes and take it to all parts of the "
-            "image, or take a distortion model with fewer coefficients"
+            "the views do not determine the cameras",
+            remedy="tilt the board about both axes, move it to all parts of the image, or use a distortion model with "
+            "fewer coefficients",
+            settings=("model",),
         )
     inverse: F64 = (vectors / np.maximum(values, _ROUNDING * values[-1])) @ vectors.T / np.outer(scale, scale)
     return inverse

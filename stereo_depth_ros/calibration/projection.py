@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Projection of points through a lens, with its derivatives, for the distortion models of camera infos."""
+"""Projection of points by camera models with lens distortion, its Jacobians, and the range of the distortion."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ __all__ = [
     "Projection",
     "camera_matrix",
     "check_model",
+    "distortion_range_px",
     "parameter_names",
     "project",
-    "rectified_points",
-    "turning_radius_px",
 ]
 
 # in OpenCV's order
@@ -33,38 +32,44 @@ MODELS: Mapping[str, tuple[str, ...]] = {
 
 
 class Projection(NamedTuple):
-    """Pixels of N points and their derivatives.
+    """Pixels of N points and their Jacobians.
 
     Attributes:
         image_px: float64 (N, 2).
-        by_intrinsics: float64 (2 N, 4 + n), rows x, y of each point; columns fx, fy, cx, cy, coefficients.
-        by_pose: float64 (2 N, 6), columns rotation vector, translation.
+        jacobian_intrinsics: float64 (2 N, 4 + n), rows x, y of each point; columns fx, fy, cx, cy, coefficients.
+        jacobian_pose: float64 (2 N, 6), columns rotation vector, translation.
     """
 
     image_px: F64
-    by_intrinsics: F64
-    by_pose: F64
+    jacobian_intrinsics: F64
+    jacobian_pose: F64
 
 
 def check_model(model: str) -> None:
-    """Raise ConfigError where there is no distortion model of this name."""
+    """Raise ConfigError where no distortion model has this name."""
     if model not in MODELS:
-        raise ConfigError(f"model {model!r} is none of {', '.join(MODELS)}: name one of them")
+        raise ConfigError(
+            f"model {model!r} is none of {', '.join(MODELS)}",
+            value=model,
+            limit=tuple(MODELS),
+            remedy="use one of them",
+            settings=("model",),
+        )
 
 
 def parameter_names(model: str) -> tuple[str, ...]:
-    """Names of the intrinsic parameters, in their order."""
+    """Names of the intrinsic parameters, in order."""
     return ("fx", "fy", "cx", "cy", *MODELS[model])
 
 
 def camera_matrix(intrinsics: F64) -> F64:
-    """K, float64 (3, 3), of intrinsics (fx, fy, cx, cy, coefficients)."""
+    """K, float64 (3, 3), from intrinsics (fx, fy, cx, cy, coefficients)."""
     fx, fy, cx, cy = intrinsics[:4]
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
 def project(model: str, intrinsics: F64, pose: F64, points_m: F64) -> Projection:
-    """Points of the board in the image.
+    """Project points of the board into the image.
 
     Args:
         model: distortion model.
@@ -80,26 +85,11 @@ def project(model: str, intrinsics: F64, pose: F64, points_m: F64) -> Projection
     return Projection(pixels.reshape(-1, 2), J[:, 6 : 10 + D.size], J[:, :6])
 
 
-def rectified_points(model: str, K: F64, D: F64, R: F64, P: F64, image_px: F64) -> F64:
-    """Raw pixels, float64 (N, 2), as pixels of the rectified camera (R, P)."""
-    if not len(image_px):
-        return np.zeros((0, 2))
-    points = image_px.reshape(-1, 1, 2)
-    if model == "equidistant":
-        return np.asarray(cv2.fisheye.undistortPoints(points, K, D, R=R, P=P), np.float64).reshape(-1, 2)
-    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)  # 5 steps, the default, are too few
-    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-        undistorted = cv2.undistortPointsIter(points, K, D, R, P, criteria)
-    else:
-        undistorted = cv2.undistortPoints(points, K, D, R=R, P=P, criteria=criteria)
-    return np.asarray(undistorted, np.float64).reshape(-1, 2)
+def distortion_range_px(model: str, intrinsics: F64, size: tuple[int, int]) -> tuple[float, float]:
+    """Image radius up to which the radial distortion increases, and the radius of the farthest image corner, px.
 
-
-def turning_radius_px(model: str, intrinsics: F64, size: tuple[int, int]) -> tuple[float, float]:
-    """Radius in the image beyond which the radial distortion folds back, and that of the farthest image corner, px.
-
-    A lens maps larger angles to larger radii. Coefficients are only known where corners were seen: beyond them the
-    polynomials may turn. Infinite where they do not within the image.
+    A lens maps larger angles to larger radii; fitted polynomials may decrease where no corners were detected. The range
+    is infinite where it includes the whole image.
     """
     focal_px = float(np.sqrt(intrinsics[0] * intrinsics[1]))
     corners = np.array([[x, y] for x in (0, size[0] - 1) for y in (0, size[1] - 1)]) - intrinsics[2:4]
@@ -107,13 +97,13 @@ def turning_radius_px(model: str, intrinsics: F64, size: tuple[int, int]) -> tup
     k = dict(zip(MODELS[model], intrinsics[4:], strict=True))
     if model == "equidistant":
         r = np.linspace(0, np.pi, 3000)
-        bent = r * (1 + k["k1"] * r**2 + k["k2"] * r**4 + k["k3"] * r**6 + k["k4"] * r**8)
+        distorted = r * (1 + k["k1"] * r**2 + k["k2"] * r**4 + k["k3"] * r**6 + k["k4"] * r**8)
     else:
         r = np.linspace(0, 10 * corner_px / focal_px, 20000)
-        below = 1 + k.get("k4", 0.0) * r**2 + k.get("k5", 0.0) * r**4 + k.get("k6", 0.0) * r**6
-        bent = r * (1 + k["k1"] * r**2 + k["k2"] * r**4 + k["k3"] * r**6) / below
-    radius_px = focal_px * bent
-    turns = np.flatnonzero(np.diff(radius_px) <= 0)
-    if not turns.size or radius_px[turns[0]] >= corner_px:
+        denominator = 1 + k.get("k4", 0.0) * r**2 + k.get("k5", 0.0) * r**4 + k.get("k6", 0.0) * r**6
+        distorted = r * (1 + k["k1"] * r**2 + k["k2"] * r**4 + k["k3"] * r**6) / denominator
+    radius_px = focal_px * distorted
+    decreasing = np.flatnonzero(np.diff(radius_px) <= 0)
+    if not decreasing.size or radius_px[decreasing[0]] >= corner_px:
         return float("inf"), corner_px
-    return float(radius_px[turns[0]]), corner_px
+    return float(radius_px[decreasing[0]]), corner_px

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Takes the views of a board from pairs of images; says what was wrong where there are none."""
+"""Detection of a board in pairs of images, and the likely cause where no pair shows it in both cameras."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stereo_depth_ros.datasets.stereo_images import StereoImages
 
 __all__ = ["FoundViews", "find_views"]
 
-_KEPT = 4  # images without a board that are looked at again with boards of other sizes
+_KEPT = 4  # images without a board, examined again for boards of other sizes
 
 
 @dataclass
@@ -24,18 +24,18 @@ class FoundViews:
 
     Attributes:
         views: pairs in which both cameras see the board.
-        pairs: number of pairs that were looked at.
-        left_only, right_only: names of the pairs in which one camera sees it.
-        nowhere: names of the pairs in which neither does.
-        alike: number of pairs of a recording that were passed over because the board lay as in another one.
+        pairs: number of pairs examined.
+        left_only, right_only: names of the pairs in which only one camera sees the board.
+        not_found: names of the pairs in which neither camera sees it.
+        duplicates: number of pairs of a recording that were skipped because the board is placed as in another one.
     """
 
     views: list[BoardView] = field(default_factory=list)
     pairs: int = 0
     left_only: list[str] = field(default_factory=list)
     right_only: list[str] = field(default_factory=list)
-    nowhere: list[str] = field(default_factory=list)
-    alike: int = 0
+    not_found: list[str] = field(default_factory=list)
+    duplicates: int = 0
 
 
 def find_views(
@@ -44,16 +44,16 @@ def find_views(
     board_of_size: Callable[[tuple[int, int]], Board],
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> FoundViews:
-    """Looks for the board in all images; in a recording a view has to be new to be taken.
+    """Detect the board in all pairs; of a recording, only views that differ are used.
 
     Args:
         images: the pairs.
-        board: what to look for.
-        board_of_size: makes the same board of another size, to tell which one it is where none is found.
-        progress: called with the number of pairs done and the number to do.
+        board: to detect.
+        board_of_size: creates the same board with another size, to report the right one if the board is not found.
+        progress: called with the number of pairs done and the total.
 
     Raises:
-        CalibrationError: images of different sizes, or the board is in none of them, or in one camera's only.
+        CalibrationError: images of different sizes, or no pair shows the board in both cameras.
     """
     found, collector = FoundViews(), ViewCollector()
     without: list[U8] = []
@@ -66,7 +66,7 @@ def find_views(
             _check_same_size(size, f"{pair.name} ({side})", _size(gray))
         left = board.detect(pair.left)
         if left is not None and images.dense and not collector.is_new(left, _size(pair.left)):
-            found.alike += 1
+            found.duplicates += 1
             continue
         right = board.detect(pair.right)
         if left is not None and right is not None:
@@ -78,10 +78,10 @@ def find_views(
         elif right is not None:
             found.right_only.append(pair.name)
         else:
-            found.nowhere.append(pair.name)
+            found.not_found.append(pair.name)
             without += [pair.left] if len(without) < _KEPT else []
     if not found.views:
-        raise CalibrationError(_why_none(found, board, board_of_size, without))
+        raise _no_views(found, board, board_of_size, without)
     return found
 
 
@@ -92,49 +92,61 @@ def _size(gray: U8) -> tuple[int, int]:
 def _check_same_size(first: tuple[str, tuple[int, int]], name: str, size: tuple[int, int]) -> None:
     if size != first[1]:
         raise CalibrationError(
-            f"{name} is {size[0]}x{size[1]}, {first[0]} is {first[1][0]}x{first[1][1]}: a calibration is for one size "
-            "of images in both cameras, take all of them at the same resolution"
+            f"image size {size[0]}x{size[1]}, {first[0]} is {first[1][0]}x{first[1][1]}, a calibration is for one "
+            "image size",
+            subject=name,
+            value=size,
+            limit=first[1],
+            remedy="record all images at the same resolution",
         )
 
 
-def _why_none(
+def _no_views(
     found: FoundViews, board: Board, board_of_size: Callable[[tuple[int, int]], Board], without: list[U8]
-) -> str:
+) -> CalibrationError:
     for seen, names, unseen in (("left", found.left_only, "right"), ("right", found.right_only, "left")):
         if names:
-            return (
-                f"the {unseen} camera sees the board in none of {found.pairs} pairs, the {seen} camera in {len(names)}"
-                ": hold it where both cameras see all of it, and check that the two images are of the two cameras"
+            return CalibrationError(
+                f"the {unseen} camera sees the board in none of {found.pairs} pairs, the {seen} camera in {len(names)}",
+                remedy="hold the board where both cameras see all of it, and check that the two images are of the two "
+                "cameras",
+                settings=("left", "right"),
             )
     columns, rows = board.size
     text = f"no board of {columns}x{rows} {board.counted} in {found.pairs} pairs of images"
-    if other := _size_that_is_there(board, board_of_size, without):
+    counting = f"size counts {board.counted}, columns x rows"
+    if other := _detected_size(board, board_of_size, without):
         count, size = other
-        return (
-            f"{text}, but one of {size[0]}x{size[1]} in {count} of the {len(without)} looked at again: "
-            f"--size counts {board.counted}, columns x rows: give {size[0]}x{size[1]}"
+        return CalibrationError(
+            f"{text}, but one of {size[0]}x{size[1]} in {count} of {len(without)} images examined again",
+            value=board.size,
+            limit=size,
+            remedy=f"{counting}: give {size[0]}x{size[1]}",
+            settings=("size",),
         )
-    return (
-        f"{text}: --size counts {board.counted}, columns x rows; check --board, the light, and that nothing covers "
-        "the board or its white margin"
+    return CalibrationError(
+        text,
+        value=board.size,
+        remedy=f"{counting}; check the kind of board, the light, and that nothing covers the board or its white margin",
+        settings=("size", "board"),
     )
 
 
-def _size_that_is_there(
+def _detected_size(
     board: Board, board_of_size: Callable[[tuple[int, int]], Board], without: Iterable[U8]
 ) -> tuple[int, tuple[int, int]] | None:
-    """Of sizes that are easily taken for another: exchanged, squares for corners, one off; how often, and which."""
+    """Detections and size of the best of the sizes that are easily confused: swapped, squares for corners, one off."""
     (columns, rows), images = board.size, list(without)
     near = [(columns + across, rows + down) for across, down in ((-1, -1), (1, 1), (-1, 0), (0, -1), (1, 0), (0, 1))]
     sizes = [(rows, columns), *near, *((rows, columns) for columns, rows in near)]
-    counts = [(_times_seen(board_of_size, size, images), size) for size in sizes if size != board.size]
+    counts = [(_detections(board_of_size, size, images), size) for size in sizes if size != board.size]
     count, size = max(counts, key=lambda each: (each[0], each[1][0] * each[1][1]))
     return (count, size) if count else None
 
 
-def _times_seen(board_of_size: Callable[[tuple[int, int]], Board], size: tuple[int, int], images: list[U8]) -> int:
+def _detections(board_of_size: Callable[[tuple[int, int]], Board], size: tuple[int, int], images: list[U8]) -> int:
     try:
         board = board_of_size(size)
-    except ConfigError:  # too small, or more tags than there are
+    except ConfigError:  # too small, or more tags than the family has
         return 0
     return sum(board.detect(gray) is not None for gray in images)

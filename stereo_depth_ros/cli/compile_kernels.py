@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth compile-kernels`: the compiled kernels of every method, made now and not at the first start."""
+"""`stereo-depth compile-kernels`: compiles the kernels of every method in advance."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PACKAGES = (
 
 @app.command()
 def compile_kernels() -> None:
-    """Compile the kernels of every method now; otherwise each is compiled at the first start.
+    """Compile the kernels of every method in advance; otherwise each is compiled on first use.
 
     \b
     Example:
@@ -38,4 +38,4 @@ def compile_kernels() -> None:
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
     prepare_kernels()
-    messages.print("kernels are compiled")
+    messages.print("all kernels are compiled")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth convert ...`: bags from datasets and folders of images."""
+"""`stereo-depth convert ...`: writes datasets and folders of images as bags."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from stereo_depth_ros.cli.options import Overwrite, new_app
-from stereo_depth_ros.cli.output import messages, progress_bar
+from stereo_depth_ros.cli.output import messages, progress_bar, warn
 from stereo_depth_ros.datasets.dataset import StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.images import ImagesDataset
@@ -21,25 +21,33 @@ from stereo_depth_ros.datasets.to_bag import convert_dataset
 __all__ = ["app"]
 
 app = new_app(
-    "Write a dataset as a stereo bag, with camera infos and, where it is known, the truth on /truth/disparity."
+    "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth on /truth/disparity."
 )
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset.")]
 Output = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Bag to write.")]
-Rate = Annotated[float, typer.Option(help="Pairs a second, where the dataset has no times.")]
+Rate = Annotated[float, typer.Option(metavar="HZ", help="Pairs per second, used if the dataset has no time stamps.")]
 
 
 @app.command()
 def middlebury(
     folder: Folder,
     output: Output,
-    calibration: Annotated[Path | None, typer.Option(help="A calib.txt in another place.")] = None,
-    focal_px: Annotated[float | None, typer.Option(help="Focal length, with --baseline-m.")] = None,
-    baseline_m: Annotated[float | None, typer.Option(help="Baseline, with --focal-px.")] = None,
-    doffs: Annotated[float | None, typer.Option(help="Middlebury's cx_right - cx_left, px.")] = None,
+    calibration: Annotated[Path | None, typer.Option(metavar="FILE", help="calib.txt; that of DIR by default.")] = None,
+    focal_px: Annotated[
+        float | None, typer.Option(metavar="PIXELS", help="Focal length if there is no calib.txt; needs --baseline-m.")
+    ] = None,
+    baseline_m: Annotated[
+        float | None, typer.Option(metavar="METERS", help="Baseline if there is no calib.txt; needs --focal-px.")
+    ] = None,
+    doffs: Annotated[
+        float | None, typer.Option(metavar="PIXELS", help="Difference cx_right - cx_left, as in calib.txt.")
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """A Middlebury (2001 to 2014) or ETH3D two-view scene: one pair.
+    """Convert a Middlebury or ETH3D scene.
+
+    Middlebury scenes of 2001 to 2014 and ETH3D two-view scenes are read. The bag contains one pair.
 
     \b
     Examples:
@@ -54,7 +62,9 @@ def middlebury(
 
 @app.command()
 def kitti(folder: Folder, output: Output, rate: Rate = 10.0, overwrite: Overwrite = False) -> None:
-    """A KITTI odometry or raw sequence, or the training pairs of a stereo benchmark.
+    """Convert a KITTI sequence or benchmark.
+
+    Odometry and raw sequences and the training pairs of the stereo benchmarks are read.
 
     \b
     Example:
@@ -65,7 +75,9 @@ def kitti(folder: Folder, output: Output, rate: Rate = 10.0, overwrite: Overwrit
 
 @app.command()
 def euroc(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
-    """A EuRoC MAV sequence: raw, distorted pairs with the times of the dataset.
+    """Convert a EuRoC MAV sequence.
+
+    The bag contains the raw, distorted pairs with the time stamps of the dataset.
 
     \b
     Example:
@@ -78,15 +90,21 @@ def euroc(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
 def images(
     folder: Folder,
     output: Output,
-    left_yaml: Annotated[Path | None, typer.Option(help="Calibration; DIR/left.yaml by default.")] = None,
-    right_yaml: Annotated[Path | None, typer.Option(help="Calibration; DIR/right.yaml by default.")] = None,
+    left_yaml: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Calibration; DIR/left.yaml by default.")
+    ] = None,
+    right_yaml: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Calibration; DIR/right.yaml by default.")
+    ] = None,
     rate: Rate = 10.0,
     overwrite: Overwrite = False,
 ) -> None:
-    """Images in DIR/left and DIR/right (or left*.png and right*.png) with the two files of camera_calibration.
+    """Convert a folder of images.
 
-    Names that differ in left and right, l and r, cam0 and cam1 or image_0 and image_1 only, and in leading zeros, make
-    a pair. Images without a partner are left out and named.
+    The calibration is read from two YAML files in the format of camera_calibration. The images are in DIR/left and
+    DIR/right, or named left*.png and right*.png. Two images form a pair if their names differ only in left and right,
+    l and r, cam0 and cam1 or image_0 and image_1, and in leading zeros. Images without a partner are skipped with a
+    warning.
 
     \b
     Example:
@@ -99,6 +117,6 @@ def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bo
     with progress_bar("converting") as progress:
         count = convert_dataset(dataset, output, rate_hz=rate_hz, overwrite=overwrite, progress=progress)
     for text in getattr(dataset, "warnings", []):
-        messages.print(f"warning: {text}", markup=False)
-    left_out = getattr(dataset, "skipped", 0)
-    messages.print(f"{count} pairs written to {output}" + (f", {left_out} images left out" if left_out else ""))
+        warn(text)
+    skipped = getattr(dataset, "skipped", 0)
+    messages.print(f"{count} pairs written to {output}" + (f", {skipped} images skipped" if skipped else ""))

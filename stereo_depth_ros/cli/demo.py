@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth demo`: the sample bag through the live graph."""
+"""`stereo-depth demo`: plays the sample bag through the live graph."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ app = new_app()
 
 @app.command()
 def demo(
-    output_dir: Annotated[Path, typer.Option(metavar="DIR", help="Where the bag and the image go.")] = Path("out"),
+    output_dir: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the bag and the image.")] = Path("out"),
     separate: Separate = False,
     matcher: Matcher = None,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Play the sample bag through the live graph; prints a table, writes a bag and an image.
+    """Play the sample bag through the live graph, print the results, and write a bag and an image.
 
     \b
     Examples:
@@ -50,4 +50,8 @@ def demo(
 def _sample_bag() -> Path:
     for bag in installed_files("bags/*.mcap"):
         return bag
-    raise BagError(f"no sample bag belongs to {__file__}: make one with `stereo-depth synthesize bags/room.mcap`")
+    raise BagError(
+        "the installation has no sample bag",
+        subject=str(Path(__file__).parents[2] / "bags"),
+        remedy="make one with `stereo-depth synthesize` and play it with `stereo-depth replay`",
+    )

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth doctor`: what is wrong with a stereo setup, and what to do about it."""
+"""`stereo-depth doctor`: examines a stereo setup and states faults and remedies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -28,10 +28,10 @@ __all__ = ["app"]
 
 app = new_app()
 
-_EXIT_ERROR, _EXIT_LEFT_OUT = 1, 3
+_EXIT_ERROR, _EXIT_SKIPPED = 1, 3
 _SHOWN = {
     Level.OK: "[green]ok",
-    Level.LEFT_OUT: "[yellow]left out",
+    Level.SKIPPED: "[yellow]skipped",
     Level.WARNING: "[yellow]warning",
     Level.ERROR: "[red]error",
 }
@@ -40,24 +40,32 @@ _SHOWN = {
 @app.command()
 def doctor(
     bag: Annotated[
-        Path | None, typer.Argument(metavar="[BAG]", help="MCAP or .db3 file, or rosbag2 folder; or --live.")
+        Path | None, typer.Argument(metavar="BAG", help="MCAP or .db3 file, or rosbag2 folder; not with --live.")
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="Listen to the running graph, in this ROS_DOMAIN_ID.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Examine the running graph in the current ROS_DOMAIN_ID.")
+    ] = False,
     left: Left = None,
     right: Right = None,
-    left_namespace: Annotated[str, typer.Option(metavar="NAME", help="Of the left camera's topics, live.")] = "left",
-    right_namespace: Annotated[str, typer.Option(metavar="NAME", help="Of the right camera's topics, live.")] = "right",
-    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="How long to listen, live.")] = 5.0,
+    left_namespace: Annotated[
+        str, typer.Option(metavar="NAME", help="With --live: namespace of the left camera.")
+    ] = "left",
+    right_namespace: Annotated[
+        str, typer.Option(metavar="NAME", help="With --live: namespace of the right camera.")
+    ] = "right",
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=3600, metavar="SECONDS", help="With --live: time to listen.")
+    ] = 5.0,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Examine a stereo setup: calibration, stamps, images, rows; state what is wrong and what to do.
+    """Examine the calibration, time stamps and images of a stereo setup, and state faults and remedies.
 
-    Topics are found as by `info` in a bag; live they are image_raw (else image_rect) and camera_info in the namespaces,
-    or what --left and --right name.
+    In a bag, topics are detected as by `info`. With --live they are image_raw (or else image_rect) and camera_info in
+    the two namespaces, unless --left and --right are given.
 
     Exit codes: 0 no fault (there may be warnings), 1 a fault, or nothing can be examined, 2 wrong usage, 3 no fault was
-    found but not everything could be looked at.
+    found but some checks were skipped.
 
     \b
     Examples:
@@ -78,8 +86,8 @@ def doctor(
     show(_tables(diagnosis), diagnosis.to_json(), json_file, overwrite=overwrite)
     if diagnosis.level is Level.ERROR:
         raise typer.Exit(_EXIT_ERROR)
-    if diagnosis.left_out:
-        raise typer.Exit(_EXIT_LEFT_OUT)
+    if diagnosis.skipped:
+        raise typer.Exit(_EXIT_SKIPPED)
 
 
 def _listen(
@@ -95,7 +103,7 @@ def _listen(
 
 
 def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
-    """All findings, what to do about those that are not fine, and the verdict."""
+    """All findings, the remedies of faults and warnings, and the verdict."""
     findings = plain_table("check", "verdict", "found", "limit")
     for finding in diagnosis.findings:
         findings.add_row(finding.check, _SHOWN[finding.level], escape(finding.value), escape(finding.limit))
@@ -103,7 +111,8 @@ def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
     remedies: dict[str, list[str]] = {}
     for finding in sorted(diagnosis.findings, key=lambda finding: -finding.level):
         if finding.level is not Level.OK and finding.remedy:
-            remedies.setdefault(finding.remedy, []).append(finding.check)
+            text = f"{finding.remedy} ({_options(finding.settings)})" if finding.settings else finding.remedy
+            remedies.setdefault(text, []).append(finding.check)
     if remedies:
         table = plain_table("check", "remedy", title="what to do")
         for remedy, checks in remedies.items():
@@ -112,8 +121,14 @@ def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
     facts = facts_table()
     setup = diagnosis.setup
     facts.add_row("images", f"{setup.left.image_topic}, {setup.right.image_topic}")
-    facts.add_row("looked at", f"{len(setup.pairs)} pairs of {setup.source}")
+    facts.add_row("examined", f"{len(setup.pairs)} pairs of {setup.source}")
     if diagnosis.search:
-        facts.add_row("search", diagnosis.search)
+        facts.add_row("search", _options(diagnosis.search))
     facts.add_row("verdict", escape(diagnosis.verdict))
     yield facts
+
+
+def _options(settings: Mapping[str, bool | int | float]) -> str:
+    """Parameters as options of the other commands."""
+    values = {name: str(value).lower() if isinstance(value, bool) else f"{value:g}" for name, value in settings.items()}
+    return " ".join(f"--param {name}:={value}" for name, value in values.items())

@@ -1,22 +1,57 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The line that an error becomes on the command line: its text, and the options that the remedy is about."""
+"""Errors as text of the command line: one line, with the options that the remedy is about."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
 
 from stereo_depth_ros.config import CONFIGS, parameter_infos
 from stereo_depth_ros.core.errors import StereoDepthError
 
-__all__ = ["error_line"]
+__all__ = ["command_options", "error_line", "error_text"]
 
 
-def error_line(error: StereoDepthError | OSError) -> str:
-    """One line; the names in ``error.settings`` become options."""
-    settings = getattr(error, "settings", ())
-    options = f" ({', '.join(_option(name) for name in settings)})" if settings else ""
-    return f"error: {error}{options}"
+def command_options(command: Any) -> set[str]:
+    """The options of a command and of its subcommands, such as ``--left``."""
+    options = {option for parameter in command.params for option in parameter.opts}
+    return options.union(*(command_options(each) for each in getattr(command, "commands", {}).values()))
 
 
-def _option(setting: str) -> str:
-    parameters = {info.name for config in CONFIGS.values() for info in parameter_infos(config)}
-    return f"--param {setting}:=..." if setting in parameters else f"--{setting.replace('_', '-')}"
+def error_line(error: StereoDepthError | OSError, options: Collection[str] | None = None) -> str:
+    """``error: `` and :func:`error_text`."""
+    return f"error: {error_text(error, options)}"
+
+
+def error_text(error: StereoDepthError | OSError, options: Collection[str] | None = None) -> str:
+    """The text of the error on one line; the names in ``error.settings`` become options of the command.
+
+    Args:
+        error: the error.
+        options: options of the command, others are not named; None allows all.
+    """
+    if isinstance(error, OSError):
+        parts = (error.filename, error.strerror or str(error))
+        return ": ".join(str(part) for part in parts if part)
+    found = [option for name in error.settings if (option := _option(name, options))]
+    text = f"{error} ({', '.join(found)})" if found else str(error)
+    return " ".join(text.splitlines())
+
+
+def _option(setting: str, options: Collection[str] | None) -> str | None:
+    """The option of that name, also without a unit at its end, or the parameter; None if the command has neither."""
+    option = f"--{setting.replace('_', '-')}"
+    is_parameter = setting in _parameters()
+    if options is None:
+        return f"--param {setting}:=..." if is_parameter else option
+    for name in (option, option.rpartition("-")[0]):
+        if name in options:
+            return name
+    return f"--param {setting}:=..." if is_parameter and "--param" in options else None
+
+
+def _parameters() -> set[str]:
+    """Names for ``--param``: all but those of calibration_node, which are options of calibrate."""
+    stages = (config for name, config in CONFIGS.items() if name != "calibration")
+    return {info.name for config in stages for info in parameter_infos(config)}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth evaluate`: errors and times of methods on pairs whose truth is known."""
+"""`stereo-depth evaluate`: errors and computing times of matchers on pairs with ground truth."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from typing import Annotated, Any
 import typer
 
 from stereo_depth_ros.bags.sources import is_bag
+from stereo_depth_ros.cli.errors import command_options, error_text
+from stereo_depth_ros.cli.evaluate_tables import evaluate_tables
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
-from stereo_depth_ros.cli.output import messages, parameter_files, progress_bar, show
-from stereo_depth_ros.cli.tables import evaluation_tables
+from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, messages, parameter_files, progress_bar, show, warn
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config
-from stereo_depth_ros.core.errors import BagError, ImageError, StereoDepthError
+from stereo_depth_ros.core.errors import BagError, StereoDepthError
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
 from stereo_depth_ros.evaluation.evaluator import Evaluation
 from stereo_depth_ros.evaluation.evaluator import evaluate as evaluate_matcher
@@ -36,84 +38,89 @@ __all__ = ["app"]
 
 app = new_app()
 
-_EXIT_LEFT_OUT = 3  # some of what was asked for is missing
-
 
 @app.command()
 def evaluate(
-    places: Annotated[list[Path], typer.Argument(metavar="DIR|BAG...", help="Dataset folders, or bags with truth.")],
-    matcher: Annotated[list[str], typer.Option(metavar="NAME", help="Method to evaluate; may be repeated.")],
+    context: typer.Context,
+    places: Annotated[
+        list[Path], typer.Argument(metavar="DIR|BAG", help="Dataset folders, or bags with ground truth.")
+    ],
+    matcher: Annotated[
+        list[str], typer.Option(metavar="NAME", help=f"Matcher to evaluate; may be repeated: {', '.join(MATCHERS)}.")
+    ],
     param: Params = None,
     json_file: Json = None,
-    csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the figures as CSV.")] = None,
-    images: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Draw left, truth, found and error of each scene into DIR.")
+    csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the results as CSV.")] = None,
+    plots: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Plot truth, disparities, errors and confidence of each scene.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Compare the disparities of methods with the truth, and measure their time.
+    """Compare the disparities of matchers with ground truth, and measure their computing time.
 
-    DIR is a Middlebury scene of 2001 to 2014, an ETH3D two-view scene or a KITTI stereo training folder, or a folder of
-    such, one or two levels down; no calibration is needed. BAG has /truth/disparity, as `convert` and `synthesize`
-    write it.
+    DIR is a Middlebury scene of 2001 to 2014, an ETH3D two-view scene or a KITTI stereo training folder, or a folder
+    that contains such folders up to two levels down; no calibration is needed. BAG contains /truth/disparity, as
+    written by `convert` and `synthesize`.
 
-    The search of each scene ends at the smallest multiple of 16 (at least 32) above its largest true disparity, the
-    same for every method, unless disparity_range is given with --param.
+    The disparity range of a scene is the smallest multiple of 16 (at least 32) above its largest true disparity, the
+    same for every matcher, unless it is set by --param disparity_range:=...
 
-    "bad x" is the percentage of the matched truth pixels that are wrong by more than x px; "all" counts pixels without
-    disparity as wrong. Density is within 0..1 in the files.
+    "bad x" is the percentage of the matched pixels with truth whose error is above x px; "all" counts pixels without a
+    disparity as wrong. In the JSON and CSV files density is a fraction from 0 to 1.
+
+    Exit codes: 0 success, 1 an error, 2 wrong usage, 3 some scenes or matchers were skipped.
 
     \b
     Examples:
       stereo-depth evaluate Motorcycle-perfect --matcher sgbm
-      stereo-depth evaluate middlebury eth3d --matcher bm --matcher sgbm --json scores.json --images out
+      stereo-depth evaluate middlebury eth3d --matcher bm --matcher sgbm --json scores.json --plots out
       stereo-depth evaluate room.mcap --matcher sgbm --param disparity_range:=128 --param P1:=100
     """
     values = parse_assignments(param or ())
     config = pipeline_config(values).matching
     for name in matcher:
-        create_matcher(name, config)  # an unknown name or a refused parameter ends it before anything runs
+        create_matcher(name, config)  # reports unknown matchers and invalid parameters before anything runs
     sets = [_scenes(place) for place in places]
     inputs = [*(path for scenes in sets for path in _files(scenes)), *parameter_files(None, values)]
-    drawn = list(_pictures(images, sets, matcher)) if images is not None else []
-    check_outputs(drawn, inputs, reports=[json_file, csv_file], overwrite=overwrite)
-    draw = functools.partial(_draw, images, overwrite) if images is not None else None
-    rows, left_out = _run(sets, matcher, config, list(values), draw)
+    plot_files = list(_plot_files(plots, sets, matcher)) if plots is not None else []
+    check_outputs(plot_files, inputs, reports=[json_file, csv_file], overwrite=overwrite)
+    plot = functools.partial(_plot, plots, overwrite) if plots is not None else None
+    rows, skipped = _run(sets, matcher, config, list(values), plot)
     if not rows:
-        raise ImageError(f"nothing could be evaluated: {left_out[0]}")
+        raise skipped[0].about("nothing could be evaluated")
     if csv_file is not None:
         write_file(csv_file, _csv(rows), overwrite=overwrite)
-    show(evaluation_tables(rows, "disparity_range" in values, images), rows, json_file, overwrite=overwrite)
-    for text in left_out:
-        messages.print(f"warning: {text}", markup=False)
-    if left_out:
-        messages.print(f"error: {len(left_out)} left out: see the warnings above")
-        raise typer.Exit(_EXIT_LEFT_OUT)
+    show(evaluate_tables(rows, "disparity_range" in values, plots), rows, json_file, overwrite=overwrite)
+    for error in skipped:
+        warn(error_text(error, command_options(context.command)))
+    if skipped:
+        messages.print(f"error: {len(skipped)} skipped: see the warnings above")
+        raise typer.Exit(EXIT_INCOMPLETE)
 
 
 def _scenes(place: Path) -> SceneSet:
     if not place.exists():
-        raise BagError(f"{place} does not exist: name a folder of a dataset, or a bag")
+        raise BagError("does not exist", subject=str(place), remedy="name a folder of a dataset, or a bag")
     return BagScenes(place) if place.is_file() or is_bag(place) else find_scenes(place)
 
 
 def _files(scenes: SceneSet) -> list[Path]:
-    """All that is read."""
+    """All input files."""
     return scenes.files if isinstance(scenes, BagScenes) else [path for source in scenes for path in source.files]
 
 
-def _pictures(folder: Path, sets: Iterable[SceneSet], matchers: list[str]) -> Iterator[Path]:
-    """All that may be drawn."""
+def _plot_files(folder: Path, sets: Iterable[SceneSet], matchers: list[str]) -> Iterator[Path]:
+    """All plots that may be written."""
     seen: Counter[str] = Counter()
     for scenes in sets:
         for name in scenes.names if isinstance(scenes, BagScenes) else [source.name for source in scenes]:
             different = _different(name, seen)
             for matcher in matchers:
-                yield from _picture_files(folder, different, matcher)
+                yield from _plot_names(folder, different, matcher)
 
 
-def _picture_files(folder: Path, scene: str, matcher: str) -> tuple[Path, Path]:
-    """Of the errors and of the confidence."""
+def _plot_names(folder: Path, scene: str, matcher: str) -> tuple[Path, Path]:
+    """The plot of the errors and that of the confidence."""
     name = f"{scene.replace('/', '_')}_{matcher}"
     return folder / f"{name}.png", folder / f"{name}_confidence.png"
 
@@ -123,11 +130,11 @@ def _run(
     matchers: list[str],
     config: MatchingConfig,
     given: list[str],
-    draw: Callable[[Scene, Evaluation], None] | None,
-) -> tuple[list[dict[str, Any]], list[str]]:
-    """A row of figures for each scene and method, and a sentence for each that is left out."""
+    plot: Callable[[Scene, Evaluation], None] | None,
+) -> tuple[list[dict[str, Any]], list[StereoDepthError]]:
+    """A row of figures for each scene and matcher, and an error for each that was skipped."""
     rows: list[dict[str, Any]] = []
-    left_out: list[str] = []
+    skipped: list[StereoDepthError] = []
     total, done = len(matchers) * sum(len(scenes) for scenes in sets), 0
     with progress_bar("evaluating") as progress:
         for source in _with_different_names(sets):
@@ -135,7 +142,7 @@ def _run(
                 scene = source.load()
                 check_plausible(scene)
             except StereoDepthError as error:
-                left_out.append(f"{source.name} left out: {error}")
+                skipped.append(error.about(f"{source.name} skipped"))
                 done += len(matchers)
                 continue
             for matcher in matchers:
@@ -144,16 +151,16 @@ def _run(
                 try:
                     evaluation = evaluate_matcher(source.name, scene, matcher, config, given)
                 except StereoDepthError as error:
-                    left_out.append(f"{source.name}, {matcher} left out: {error}")
+                    skipped.append(error.about(f"{source.name}, {matcher} skipped"))
                     continue
                 rows.append(evaluation.to_json())
-                if draw is not None:
-                    draw(scene, evaluation)
-    return rows, left_out
+                if plot is not None:
+                    plot(scene, evaluation)
+    return rows, skipped
 
 
 def _with_different_names(sets: Iterable[SceneSet]) -> Iterator[SceneSource]:
-    """All scenes; those of equal names are numbered."""
+    """All scenes; equal names are numbered."""
     seen: Counter[str] = Counter()
     for scenes in sets:
         for source in scenes:
@@ -165,26 +172,26 @@ def _different(name: str, seen: Counter[str]) -> str:
     return f"{name}#{seen[name]}" if seen[name] > 1 else name
 
 
-def _draw(folder: Path, overwrite: bool, scene: Scene, evaluation: Evaluation) -> None:
-    errors_file, confidence_file = _picture_files(folder, evaluation.scene, evaluation.matcher)
+def _plot(folder: Path, overwrite: bool, scene: Scene, evaluation: Evaluation) -> None:
+    errors_file, confidence_file = _plot_names(folder, evaluation.scene, evaluation.matcher)
     title = f"{evaluation.scene}: {evaluation.matcher}"
     errors = evaluation.errors
     caption = (
-        f"error: bad 1 {errors.bad_1:.1f} %, bad 2 {errors.bad_2:.1f} % of the matched, "
-        f"{errors.bad_2_all:.1f} % with holes, mean {errors.avg_px:.2f} px"
+        f"error: bad 1 {errors.bad_1:.1f} %, bad 2 {errors.bad_2:.1f} % of the matched pixels, "
+        f"{errors.bad_2_all:.1f} % with holes counted, mean {errors.avg_px:.2f} px"
     )
-    image = error_plot(scene.left, scene.truth_px, evaluation.result.disparity_px, title, caption)
-    save_png(errors_file, image, overwrite=overwrite)
+    errors_image = error_plot(scene.left, scene.truth_px, evaluation.result.disparity_px, title, caption)
+    save_png(errors_file, errors_image, overwrite=overwrite)
     if evaluation.confidence is not None:
         curve = evaluation.confidence.bad_1
         area = f"area {curve.area:.2f}, random {curve.random_area:.2f}, best {curve.oracle_area:.2f}"
-        unit = "percent wrong by more than 1 px"
-        drawn = curve_plot(curve.error, curve.oracle, errors.density, f"{title}: {area}", unit)
-        save_png(confidence_file, drawn, overwrite=overwrite)
+        unit = "percentage with errors above 1 px"
+        curve_image = curve_plot(curve.error, curve.oracle, errors.density, f"{title}: {area}", unit)
+        save_png(confidence_file, curve_image, overwrite=overwrite)
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:
-    """One line a row; what is not one value is in the JSON only."""
+    """One line per row; lists and mappings are in the JSON only."""
     columns = [name for name in rows[0] if name not in ("parameters", "curve")]
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, columns, extrasaction="ignore")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth info`: what is in a bag, and whether it is usable for stereo depth."""
+"""`stereo-depth info`: lists the contents of a bag and states whether it is usable for stereo depth."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import typer
 
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.cli.info_tables import info_tables, info_values
 from stereo_depth_ros.cli.options import Bag, Json, Left, Overwrite, Right, new_app
-from stereo_depth_ros.cli.output import EXIT_ERROR, messages, show
-from stereo_depth_ros.cli.tables import info_tables, info_values
+from stereo_depth_ros.cli.output import EXIT_ERROR, messages, show, warn
 from stereo_depth_ros.files.output import check_outputs
 
 __all__ = ["app"]
@@ -22,7 +22,9 @@ app = new_app()
 def info(
     bag: Bag, left: Left = None, right: Right = None, json_file: Json = None, overwrite: Overwrite = False
 ) -> None:
-    """List what is in a bag, whether it is usable for stereo depth, and why not.
+    """List the contents of a bag and state whether it is usable for stereo depth, and if not, why.
+
+    Exit codes: 0 usable, 1 not usable or an error, 2 wrong usage.
 
     \b
     Examples:
@@ -33,7 +35,7 @@ def info(
     found = inspect_bag(bag, left=left, right=right)
     show(info_tables(found), info_values(found), json_file, overwrite=overwrite)
     for text in found.warnings:
-        messages.print(f"warning: {text}")
+        warn(text)
     for text in found.problems:
         messages.print(f"problem: {text}")
     if not found.usable:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag through a live graph that is started for it, with its progress on stderr; for replay and demo."""
+"""Replay of a bag through a live graph with progress on stderr, shared by replay and demo."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def run_live(
     params_file: Path | None,
     health: Literal["", "watch", "correct"] = "",
 ) -> RunReport:
-    """Start the nodes, play, stop the nodes; the arguments are those of ``replay_through_graph``.
+    """Start the nodes, play the bag, stop the nodes; the arguments are those of ``replay_through_graph``.
 
-    Kernels are compiled here, once, so that the nodes read them from disk.
+    Kernels are compiled here once, so that the nodes load them from disk.
     """
     require_ros()
     from stereo_depth_ros.nodes.live_replay import replay_through_graph

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth ...`: the commands in one table; each is imported when it is called.
+"""`stereo-depth ...`: the table of commands; the module of a command is imported when the command is called.
 
-Exit codes: 0 success, 1 an error reported in one line, 2 wrong usage, 3 outputs were lost.
+Exit codes: 0 success, 1 an error reported in one line, 2 wrong usage, 3 incomplete results.
 """
 
 from __future__ import annotations
@@ -10,46 +10,46 @@ from __future__ import annotations
 import importlib
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from stereo_depth_ros.cli.errors import error_line
+from stereo_depth_ros.cli.errors import command_options, error_line
 from stereo_depth_ros.cli.stdout import finish_stdout
 from stereo_depth_ros.core.errors import StereoDepthError
 
 __all__ = ["COMMANDS", "app", "main"]
 
-# name of the command (and, with _ for -, of its module), first line of its help; in the order of use
+# name of the command, which is also its module (with _ for -), and the first line of its help
 COMMANDS: Mapping[str, str] = {
-    "info": "List what is in a bag, whether it is usable for stereo depth, and why not.",
-    "process": "Compute depth of a bag without a graph: the same outputs as replay, without ROS.",
-    "replay": "Play a bag through the live graph, in this ROS_DOMAIN_ID, and record what comes out.",
-    "demo": "Play the sample bag through the live graph; prints a table, writes a bag and an image.",
-    "doctor": "Examine a stereo setup: calibration, stamps, images, rows; state what is wrong and what to do.",
-    "calibrate": "Calibrate both cameras and the rig from pairs of images of a board.",
-    "rectify": "Rectify a pair of images.",
-    "rig": "Compute what a rig can see: fields of view, range, depth error at each meter, disparity range.",
-    "evaluate": "Compare the disparities of methods with the truth, and measure their time.",
-    "convert": "Write a dataset as a stereo bag, with camera infos and, where it is known, the truth.",
-    "synthesize": "Write a synthetic stereo bag with exact truth: a room seen by a moving, distorted, verged rig.",
-    "parameters": "List every parameter with default, range and meaning.",
-    "compile-kernels": "Compile the kernels of every method now; otherwise each is compiled at the first start.",
+    "info": "List the contents of a bag and state whether it is usable for stereo depth, and if not, why.",
+    "process": "Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.",
+    "replay": "Play a bag through the live graph in the current ROS_DOMAIN_ID and record the outputs.",
+    "demo": "Play the sample bag through the live graph, print the results, and write a bag and an image.",
+    "doctor": "Examine the calibration, time stamps and images of a stereo setup, and state faults and remedies.",
+    "calibrate": "Calibrate both cameras and the rig from image pairs of a calibration board.",
+    "rectify": "Rectify a pair of images, with or without a calibration.",
+    "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
+    "evaluate": "Compare the disparities of matchers with ground truth, and measure their computing time.",
+    "convert": "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth.",
+    "synthesize": "Write a synthetic stereo bag with exact ground truth.",
+    "parameters": "List every parameter with its default, range and meaning.",
+    "compile-kernels": "Compile the kernels of every method in advance; otherwise each is compiled on first use.",
 }
 
 
 class CommandTable(TyperGroup):
-    """The group of all commands; the module of a command is imported when the command is asked for."""
+    """The group of all commands; imports the module of a command on demand."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """All names."""
+        """Names of all commands."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of that name, None where there is none."""
+        """The command of that name; None if it does not exist."""
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"stereo_depth_ros.cli.{cmd_name.replace('-', '_')}")
@@ -58,7 +58,7 @@ class CommandTable(TyperGroup):
         return command
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """The table, without an import."""
+        """Print the table of commands without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
@@ -89,16 +89,23 @@ def stereo_depth(
 
 
 def main() -> None:
-    """The console script: one line for a known error."""
-    signal.signal(signal.SIGTERM, _interrupt)  # the nodes that were started are stopped, as after Ctrl-C
+    """Entry point of the console script; reports expected errors in one line."""
+    signal.signal(signal.SIGTERM, _interrupt)  # stops started nodes and removes incomplete outputs, as after Ctrl-C
     try:
         try:
             app()
         finally:
             finish_stdout()
     except (StereoDepthError, OSError) as error:
-        print(error_line(error), file=sys.stderr)
+        print(error_line(error, _called_options(sys.argv[1:])), file=sys.stderr)
         sys.exit(1)
+
+
+def _called_options(arguments: Sequence[str]) -> set[str]:
+    """The options of the command in the arguments."""
+    group: Any = typer.main.get_command(app)
+    name = next((argument for argument in arguments if argument in COMMANDS), None)
+    return command_options(group.get_command(None, name)) if name else set()
 
 
 def _interrupt(*_: Any) -> None:

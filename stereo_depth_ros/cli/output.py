@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the command line shows things: progress on stderr, tables or JSON on stdout, JSON in files."""
+"""Output of the commands: progress and messages on stderr, tables or JSON on stdout, JSON in files."""
 
 from __future__ import annotations
 
@@ -15,27 +15,33 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.kernels import compile_kernels
-from stereo_depth_ros.files.output import telling, write_file
+from stereo_depth_ros.files.output import as_output_errors, write_file
 from stereo_depth_ros.matching import matcher_from_config
 
 __all__ = [
     "EXIT_ERROR",
-    "EXIT_LOST",
+    "EXIT_INCOMPLETE",
     "messages",
     "parameter_files",
     "prepare_kernels",
     "progress_bar",
     "show",
+    "warn",
 ]
 
-EXIT_ERROR, EXIT_LOST = 1, 3
+EXIT_ERROR, EXIT_INCOMPLETE = 1, 3
 
-messages = Console(stderr=True, highlight=False, soft_wrap=True)
+messages = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+
+
+def warn(text: str) -> None:
+    """Print a warning."""
+    messages.print(f"warning: {text}")
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar while the block lasts; call what it gives with the number done and the number to do."""
+    """A progress bar during the ``with`` block; call the yielded function with the number done and the total."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=messages, transient=True, disable=not messages.is_terminal) as progress:
         task = progress.add_task(title, total=None)
@@ -43,10 +49,10 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def prepare_kernels(config: MatchingConfig | None = None) -> None:
-    """Compile the kernels of the modules imported so far, and of a matcher, before the work, and report each.
+    """Compile the kernels of all imported modules, and of the matcher that ``config`` selects, with progress.
 
     Raises:
-        ConfigError: the matcher refuses its parameters.
+        ConfigError: the matcher rejects its parameters.
     """
     if config is not None:
         matcher_from_config(config)
@@ -61,7 +67,7 @@ def prepare_kernels(config: MatchingConfig | None = None) -> None:
 
 
 def show(tables: Iterable[RenderableType], values: Any, json_file: Path | None, *, overwrite: bool = False) -> None:
-    """Print the tables, a blank line between them; with a file write JSON there instead, "-" is stdout.
+    """Print the tables separated by blank lines, and write the JSON file if one is given; with "-" print JSON only.
 
     Raises:
         OutputError: the file exists and ``overwrite`` is false, or it or stdout cannot be written.
@@ -70,7 +76,7 @@ def show(tables: Iterable[RenderableType], values: Any, json_file: Path | None, 
     if json_file is not None and str(json_file) != "-":
         write_file(json_file, text, overwrite=overwrite)
     console = Console(highlight=False)
-    with telling("standard output"):
+    with as_output_errors("standard output"):
         if str(json_file) == "-":
             console.file.write(text)
             return
@@ -81,5 +87,5 @@ def show(tables: Iterable[RenderableType], values: Any, json_file: Path | None, 
 
 
 def parameter_files(params_file: Path | None, values: Mapping[str, Any]) -> list[Path]:
-    """The files that parameters are read from, and those that they name."""
+    """The parameter file, and the files named in parameters."""
     return [Path(path) for path in (params_file, values.get("onnx_model")) if path]

@@ -1,12 +1,18 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth parameters`: every parameter with default, range and meaning."""
+"""`stereo-depth parameters`: lists every parameter with default, range and meaning."""
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
+from rich.table import Table
+
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import show
-from stereo_depth_ros.cli.tables import parameters_table, parameters_values
+from stereo_depth_ros.cli.tables import plain_table
+from stereo_depth_ros.config import CONFIGS, parameter_infos
 from stereo_depth_ros.files.output import check_outputs
 
 __all__ = ["app"]
@@ -16,11 +22,30 @@ app = new_app()
 
 @app.command()
 def parameters(json_file: Json = None, overwrite: Overwrite = False) -> None:
-    """List every parameter with default, range and meaning.
+    """List every parameter with its default, range and meaning.
 
     \b
     Example:
       stereo-depth parameters
     """
     check_outputs((), reports=[json_file], overwrite=overwrite)
-    show([parameters_table()], parameters_values(), json_file, overwrite=overwrite)
+    show([_table()], _values(), json_file, overwrite=overwrite)
+
+
+def _table() -> Table:
+    """A row for each parameter, a section for each stage."""
+    table = plain_table("parameter", "default:r", "range", "meaning")
+    for stage in CONFIGS.values():
+        for info in parameter_infos(stage):
+            table.add_row(info.name, str(info.default), info.range_text, info.doc)
+        table.add_section()
+    return table
+
+
+def _values() -> list[dict[str, Any]]:
+    """The same as JSON values."""
+    return [
+        dataclasses.asdict(info) | {"type": info.type.__name__}
+        for stage in CONFIGS.values()
+        for info in parameter_infos(stage)
+    ]

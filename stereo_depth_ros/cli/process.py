@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth process`: depth of a bag without a graph."""
+"""`stereo-depth process`: computes the depth of a bag without a ROS graph."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ def process(
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Compute depth of a bag without a graph: the same outputs as replay, without ROS.
+    """Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.
+
+    Exit codes: 0 success, 1 an error, 2 wrong usage, 3 some pairs were skipped.
 
     \b
     Examples:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth rectify`: a pair of images to one whose rows agree, with a calibration or without."""
+"""`stereo-depth rectify`: rectifies a pair of images, with or without a calibration."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
-from stereo_depth_ros.cli.output import messages, show
+from stereo_depth_ros.cli.output import show, warn
 from stereo_depth_ros.cli.tables import facts_table
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.images import to_gray
@@ -37,8 +38,8 @@ __all__ = ["app"]
 
 app = new_app()
 
-_MIN_MATCHES = 20  # to say how far apart rows are
-_AGREE_PX = 3.0  # matches whose rows are further from the others' are wrong ones
+_MIN_MATCHES = 20  # needed for a row error
+_AGREE_PX = 3.0  # matches whose row error differs more from the median are outliers
 
 
 @app.command()
@@ -51,23 +52,26 @@ def rectify(
         typer.Option("--rig", metavar="FILE|DIR|BAG", help="Calibration: left.yaml, its folder, or a bag."),
     ] = None,
     uncalibrated: Annotated[
-        bool, typer.Option("--uncalibrated", help="From the images alone; --rig then only removes distortion.")
+        bool, typer.Option("--uncalibrated", help="Rectify from matched features; --rig then removes distortion only.")
     ] = False,
     method: Annotated[
-        str | None, typer.Option(metavar="NAME", help=f"Rectify anew: {', '.join(METHODS)}; R and P of the rig else.")
+        str | None,
+        typer.Option(metavar="NAME", help=f"Compute new R and P: {', '.join(METHODS)}; default: those of the rig."),
     ] = None,
-    alpha: Annotated[float, typer.Option(help="With --method: 0 shows valid pixels only, 1 all raw pixels.")] = 0.0,
+    alpha: Annotated[
+        float, typer.Option(metavar="0..1", help="With --method: 0 keeps valid pixels only, 1 keeps all raw pixels.")
+    ] = 0.0,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Rectify a pair of images.
+    """Rectify a pair of images, with or without a calibration.
 
-    With --rig by the calibration. With --uncalibrated features are matched, the fundamental matrix is estimated, and
-    two homographies are found that distort least (Loop and Zhang 1999); lenses with distortion need --rig beside it.
-    The images then have disparities, but no depth in meters.
+    With --rig, the calibration is used. With --uncalibrated, the fundamental matrix is estimated from matched features,
+    and the images are rectified by the two homographies of least distortion (Loop and Zhang 1999). Lenses with
+    distortion need --rig in addition. Disparities of these images cannot be converted to meters.
 
-    DIR gets left.png and right.png, rows.png with lines across both, and with --method left.yaml and right.yaml. The
-    row errors told are those of matched features.
+    DIR receives left.png and right.png, rows.png with lines across both images, and with --method left.yaml and
+    right.yaml. Row errors are measured on matched features.
 
     \b
     Examples:
@@ -76,9 +80,13 @@ def rectify(
       stereo-depth rectify left.jpg right.jpg --uncalibrated -o out --json -
     """
     if rig is None and not uncalibrated:
-        raise ConfigError("neither --rig nor --uncalibrated: give the calibration, or let the images tell the rows")
+        raise ConfigError(
+            "neither --rig nor --uncalibrated is given", remedy="give the calibration, or rectify without one"
+        )
     if uncalibrated and method is not None:
-        raise ConfigError(f"--method {method} takes a calibration, --uncalibrated does without: give one of them")
+        raise ConfigError(
+            f"--method {method} needs a calibration, --uncalibrated does not use one", remedy="give one of the options"
+        )
     names = ("left.png", "right.png", "rows.png", *(("left.yaml", "right.yaml") if method is not None else ()))
     inputs = [left, right, *(rig_files(rig) if rig else ())]
     check_outputs([output / name for name in names], inputs, reports=[json_file], overwrite=overwrite)
@@ -103,12 +111,12 @@ def rectify(
         write_camera(output / "right.yaml", used.right, "right", overwrite=overwrite)
     show([_table(result)], result, json_file, overwrite=overwrite)
     if uncalibrated and known is None:
-        messages.print("warning: lenses were taken to have no distortion: give --rig for those that have")
+        warn("the lenses are assumed to have no distortion: give --rig if they have")
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """A pair as it was read, uint8 (H, W) or (H, W, 3) BGR, and in gray."""
+    """A pair of images, uint8 (H, W) or (H, W, 3) BGR, and the same in gray, uint8 (H, W)."""
 
     left: U8
     right: U8
@@ -123,14 +131,14 @@ class _Pair:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width, height of both.
+        """Width and height of both images.
 
         Raises:
             CalibrationError: they differ.
         """
         if self.left.shape[:2] != self.right.shape[:2]:
             sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (self.left, self.right))
-            raise CalibrationError(f"the images are {sizes}: a pair has one size, take them at one resolution")
+            raise CalibrationError(f"the images are {sizes}", remedy="use two images of the same size")
         return self.left.shape[1], self.left.shape[0]
 
 
@@ -139,7 +147,7 @@ def _from_calibration(known: StereoRig, method: str | None, alpha: float) -> tup
     if method is not None:
         used = rectify_calibrated(known.left, known.right, RelativePose.from_rig(known), method=method, alpha=alpha)
     area = common_area(used)._asdict()
-    return used, {"method": method or "the calibration's R and P", "metric": True, "common_area": area}
+    return used, {"method": method or "R and P of the calibration", "metric": True, "common_area": area}
 
 
 def _from_images(
@@ -179,7 +187,7 @@ def _rectified(images: _Pair, rig: StereoRig | UncalibratedRig) -> _Pair:
 
 
 def _rows(matches: Correspondences) -> dict[str, float | None]:
-    """Median and root mean square row error, px, of the matches that are near to each other's; None where too few."""
+    """Median and RMS row error of the matches without outliers, px; None if there are too few."""
     errors = matches.left_px[:, 1] - matches.right_px[:, 1]
     if len(errors) < _MIN_MATCHES:
         return {"matches": len(errors), "median_px": None, "rms_px": None}
@@ -200,19 +208,19 @@ def _error(rows: dict[str, float | None]) -> str:
 def _table(result: dict[str, Any]) -> Table:
     facts = facts_table()
     facts.add_row("method", result["method"])
-    facts.add_row("depth", "in meters" if result["metric"] else "none: disparities tell what is nearer, no meters")
+    facts.add_row("depth", "in meters" if result["metric"] else "not in meters: only the order of depths is known")
     for name in ("before", "after"):
         rows = result[name]
-        text = "too few matched features to say"
+        text = f"unknown: {rows['matches']} matched features, at least {_MIN_MATCHES} are needed"
         if rows["median_px"] is not None:
             text = f"median {rows['median_px']:.2f} px, rms {rows['rms_px']:.2f} px of {rows['matches']} matches"
         facts.add_row(f"row error {name}", text)
     if not result["metric"]:
-        facts.add_row("matches", f"{result['inliers']} of {result['matches']} agree on the fundamental matrix")
+        facts.add_row("matches", f"{result['inliers']} of {result['matches']} fit the fundamental matrix")
         search = " ".join(f"--param {name}:={value}" for name, value in result["recommended"].items())
-        facts.add_row("to search", search)
+        facts.add_row("options", search)
     else:
         area = result["common_area"]
-        facts.add_row("seen by both", f"{area['width']}x{area['height']} px from ({area['x']}, {area['y']})")
-    facts.add_row("files", result["output"])
+        facts.add_row("common area", f"{area['width']}x{area['height']} px from ({area['x']}, {area['y']})")
+    facts.add_row("files", escape(result["output"]))
     return facts

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth replay`: a bag through the live graph."""
+"""`stereo-depth replay`: plays a bag through the live graph and records the outputs."""
 
 from __future__ import annotations
 
@@ -44,25 +44,34 @@ def replay(
     matcher: Matcher = None,
     param: Params = None,
     params_file: ParamsFile = None,
-    rate: Annotated[float, typer.Option(min=0, help="At most so many times the bag's speed; 0 is no limit.")] = 0.0,
-    realtime: Annotated[bool, typer.Option("--realtime", help="Send by the clock; what is late is dropped.")] = False,
-    clock: Annotated[bool, typer.Option("--clock", help="Publish /clock; the nodes use it.")] = False,
-    loop: Annotated[int, typer.Option(min=1, help="How often the bag is played.")] = 1,
+    rate: Annotated[
+        float, typer.Option(min=0, metavar="FACTOR", help="Maximum speed relative to the recording; 0: no limit.")
+    ] = 0.0,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Send pairs at the rate of the recording; late pairs are dropped.")
+    ] = False,
+    clock: Annotated[bool, typer.Option("--clock", help="Publish /clock; the nodes use simulated time.")] = False,
+    loop: Annotated[int, typer.Option(min=1, metavar="N", help="Number of times to play the bag.")] = 1,
     start: Start = 0.0,
     duration: Duration = 0.0,
     left: Left = None,
     right: Right = None,
-    in_flight: Annotated[int, typer.Option(min=1, max=100, help="Pairs that may be on their way.")] = 1,
-    health: Annotated[bool, typer.Option("--health", help="Run calibration_monitor as well.")] = False,
+    in_flight: Annotated[
+        int, typer.Option(min=1, max=100, metavar="N", help="Number of pairs processed at the same time.")
+    ] = 1,
+    health: Annotated[bool, typer.Option("--health", help="Run the calibration monitor as well.")] = False,
     auto_correct: Annotated[
-        bool, typer.Option("--auto-correct", help="Rectify with what calibration_monitor corrects.")
+        bool, typer.Option("--auto-correct", help="Run the calibration monitor and rectify with its correction.")
     ] = False,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Play a bag through the live graph, in this ROS_DOMAIN_ID, and record what comes out.
+    """Play a bag through the live graph in the current ROS_DOMAIN_ID and record the outputs.
 
-    The next pair is sent when all outputs of the one before have come: nothing is lost, unless --realtime asks for it.
+    A pair is sent when all outputs of the previous one have been received, so that nothing is lost; with --realtime
+    pairs are sent at the rate of the recording and may be lost.
+
+    Exit codes: 0 success, 1 an error, 2 wrong usage, 3 outputs were lost.
 
     \b
     Examples:

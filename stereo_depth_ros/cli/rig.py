@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth rig`: what a rig can see, how exactly, and the disparity range that it takes."""
+"""`stereo-depth rig`: computes the fields of view, depth range, depth errors and disparity range of a rig."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ import numpy as np
 import typer
 
 from stereo_depth_ros.cli.options import Json, Left, Overwrite, Params, ParamsFile, Right, new_app
-from stereo_depth_ros.cli.output import messages, parameter_files, show
+from stereo_depth_ros.cli.output import parameter_files, show, warn
 from stereo_depth_ros.cli.rig_tables import rig_tables
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.geometry.depth_range import (
     Precision,
+    default_nearest_m,
     depth_errors,
     depth_range,
     recommended_search,
-    usual_nearest,
-    whole_depths,
+    rounded_depths_m,
 )
 from stereo_depth_ros.geometry.field_of_view import field_of_view
 from stereo_depth_ros.matching import matcher_from_config
@@ -37,7 +38,7 @@ __all__ = ["app"]
 
 app = new_app()
 
-_BASELINES = (0.5, 1.0, 2.0)  # times that of the rig
+_BASELINES = (0.5, 1.0, 2.0)  # relative to that of the rig
 _PLOT_POINTS = 300
 
 
@@ -47,75 +48,76 @@ def rig(
         list[Path], typer.Argument(metavar="LEFT.yaml RIGHT.yaml|DIR|BAG", help="Camera files, their folder, or a bag.")
     ],
     nearest: Annotated[
-        float | None, typer.Option(metavar="M", help="Nearest distance wanted, meters; an eighth of the width else.")
+        float | None,
+        typer.Option(
+            metavar="M", help="Nearest depth needed, meters; by default where the disparity is 1/8 of the width."
+        ),
     ] = None,
     max_error: Annotated[
-        float, typer.Option(metavar="PERCENT", help="Depth error, in percent of the depth, that is still of use.")
+        float, typer.Option(metavar="PERCENT", help="Largest useful depth error, in percent of the depth.")
     ] = 5.0,
-    matcher: Annotated[str | None, typer.Option(metavar="NAME", help="Method whose disparity step counts.")] = None,
+    matcher: Annotated[str | None, typer.Option(metavar="NAME", help="Matcher whose disparity step is used.")] = None,
     param: Params = None,
     params_file: ParamsFile = None,
     left: Left = None,
     right: Right = None,
-    image: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw the depth error over the distance.")
-    ] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Plot the depth error over the depth.")] = None,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Compute what a rig can see: fields of view, range, depth error at each meter, disparity range.
+    """Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.
 
-    DIR holds left.yaml and right.yaml in the format of camera_calibration; one of two such files finds its partner
-    beside it. Of a bag the first camera infos are read.
+    DIR contains left.yaml and right.yaml in the format of camera_calibration; if one of the two files is given, the
+    other one is read from the same folder. From a bag, the first camera infos are read.
 
-    The search is the recommended one, unless min_disparity or disparity_range is given. The depth error is
-    sigma_Z = Z^2 / (f B) sigma_d with sigma_d = disparity_sigma_px; the step is that of the matcher's disparities.
-    Other baselines are this rig's with everything else as it is.
+    The disparity range is the recommended one, unless min_disparity or disparity_range is set. The depth error is
+    sigma_Z = Z^2 / (f B) sigma_d with sigma_d = disparity_sigma_px; the depth step is that of the matcher's
+    disparities. The results for other baselines assume that nothing else changes.
 
     \b
     Examples:
       stereo-depth rig left.yaml right.yaml
-      stereo-depth rig calibration --nearest 0.4 --max-error 2 --image error.png
+      stereo-depth rig calibration --nearest 0.4 --max-error 2 --plot error.png
       stereo-depth rig drive.mcap --param disparity_range:=128 --param disparity_sigma_px:=0.1 --json - | jq .limits
     """
     values = {**(read_params_file(params_file) if params_file else {}), **parse_assignments(param or (), matcher)}
     inputs = [*rig_files(paths), *parameter_files(params_file, values)]
-    check_outputs([image] if image is not None else [], inputs, reports=[json_file], overwrite=overwrite)
+    check_outputs([plot] if plot is not None else [], inputs, reports=[json_file], overwrite=overwrite)
     rig = read_rig(paths, left, right)
     config = pipeline_config(values)
     step_px = matcher_from_config(config.matching).step_px
     precision = Precision(step_px, config.depth.disparity_sigma_px, max_error / 100)
-    nearest_m = usual_nearest(rig) if nearest is None else nearest
+    nearest_m = default_nearest_m(rig) if nearest is None else nearest
     recommended = recommended_search(rig, nearest_m)
     given = bool({"min_disparity", "disparity_range"} & values.keys())
     survey = _Survey(rig, config.matching if given else recommended, precision)
     result = survey.to_json() | {"recommended": {"nearest_m": nearest_m, **_search_values(recommended)}}
-    if image is not None:
-        save_png(image, survey.image(), overwrite=overwrite)
-        result["image"] = str(image)
+    if plot is not None:
+        save_png(plot, survey.plot(), overwrite=overwrite)
+        result["plot"] = str(plot)
     show(rig_tables(result, given), result, json_file, overwrite=overwrite)
-    own = next(item for item in result["limits"] if item["baseline_factor"] == 1)
-    if own["nearest_m"] >= own["farthest_m"]:
-        messages.print(
-            f"warning: from the nearest distance on, {own['nearest_m']:.3g} m, the error is above {max_error:g} %, "
-            f"which is reached at {own['farthest_m']:.3g} m: search larger disparities (--nearest), or allow more"
+    actual = next(item for item in result["limits"] if item["baseline_factor"] == 1)
+    if actual["nearest_m"] >= actual["farthest_m"]:
+        warn(
+            f"at the nearest depth, {actual['nearest_m']:.3g} m, the depth error is above {max_error:g} %, which is "
+            f"reached at {actual['farthest_m']:.3g} m: search larger disparities (--nearest), or raise --max-error"
         )
 
 
 @dataclass(frozen=True)
 class _Survey:
-    """All figures of one rig, search and precision."""
+    """All results for one rig, disparity range and precision."""
 
     rig: StereoRig
     search: MatchingConfig
     precision: Precision
 
     def to_json(self) -> dict[str, Any]:
-        """Names with units; None for what is infinite or not there."""
+        """JSON values, names with units; None for infinite or undefined values."""
         limits = [self._limits(factor) for factor in _BASELINES]
-        own = limits[_BASELINES.index(1.0)]
-        last_m = min(own["farthest_m"], own["search_end_m"] or math.inf)
-        depths_m = whole_depths(own["nearest_m"], max(last_m, own["nearest_m"]))
+        actual = limits[_BASELINES.index(1.0)]
+        last_m = min(actual["farthest_m"], actual["search_end_m"] or math.inf)
+        depths_m = rounded_depths_m(actual["nearest_m"], max(last_m, actual["nearest_m"]))
         rig = self.rig
         return {
             "cameras": list(rig.topics),
@@ -138,8 +140,8 @@ class _Survey:
             "depths": [_known(asdict(error)) for error in depth_errors(rig, depths_m, self.precision)],
         }
 
-    def image(self) -> Any:
-        """The depth errors of the baselines, as far as the largest of them reaches."""
+    def plot(self) -> U8:
+        """The depth error over the depth for each baseline, up to the farthest useful depth of all."""
         ranges = {factor: depth_range(self.rig, self.search, self.precision, factor) for factor in _BASELINES}
         last_m = max(min(found.farthest_m, found.search_end_m) for found in ranges.values())
         depths_m = np.linspace(last_m / _PLOT_POINTS, last_m, _PLOT_POINTS)
@@ -161,5 +163,5 @@ def _search_values(search: MatchingConfig) -> dict[str, int]:
 
 
 def _known(values: dict[str, float]) -> dict[str, float | None]:
-    """The values, None for those that JSON has no number for."""
+    """The values, None for those that are not finite."""
     return {name: value if math.isfinite(value) else None for name, value in values.items()}

@@ -7,18 +7,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table
 
 from stereo_depth_ros.cli.tables import facts_table, plain_table
 
 __all__ = ["rig_tables"]
 
-_MAX_ROWS = 30  # of the depths; JSON has all
+_MAX_ROWS = 30  # of the depth table; the JSON has all depths
 _VIEWS = {"raw_left": "raw, left", "raw_right": "raw, right", "rectified": "rectified"}
 
 
 def rig_tables(result: Mapping[str, Any], search_given: bool) -> Iterator[Table]:
-    """Fields of view, limits, depth errors, and the parameters to take, from the values for JSON."""
+    """Fields of view, ranges, depth errors and recommended parameters, from the JSON values."""
     yield _view_table(result["field_of_view"])
     yield _limits_table(result)
     yield _depths_table(result["depths"])
@@ -36,7 +37,7 @@ def _view_table(views: Mapping[str, Mapping[str, float | None]]) -> Table:
 
 def _limits_table(result: Mapping[str, Any]) -> Table:
     percent = 100 * result["precision"]["max_error"]
-    title = "range: largest disparity searched, to the error allowed"
+    title = "range, from the largest disparity searched to the largest error allowed"
     table = plain_table(
         "baseline mm:r", "times:r", "nearest m:r", f"error {percent:g} % at m:r", "search ends m:r", title=title
     )
@@ -71,7 +72,7 @@ def _depths_table(depths: list[Mapping[str, float | None]]) -> Table:
 
 
 def _thinned(depths: list[Mapping[str, float | None]]) -> list[Mapping[str, float | None]]:
-    """All depths where they are few, else every second, fifth, tenth ..., counted in their own step from 0."""
+    """All depths if there are at most _MAX_ROWS, else every 2nd, 5th, 10th, 20th or 50th multiple of their step."""
     if len(depths) <= _MAX_ROWS:
         return depths
     known = [float(row["depth_m"] or 0) for row in depths]
@@ -83,24 +84,22 @@ def _thinned(depths: list[Mapping[str, float | None]]) -> list[Mapping[str, floa
 def _summary(result: Mapping[str, Any], search_given: bool) -> Table:
     rig, search, precision, advice = (result[name] for name in ("rig", "search", "precision", "recommended"))
     facts = facts_table()
-    facts.add_row("cameras", ", ".join(result["cameras"]))
+    facts.add_row("cameras", escape(", ".join(result["cameras"])))
     facts.add_row(
         "rig",
         f"{rig['width']}x{rig['height']}, f {rig['f_px']:.1f} px, baseline {1e3 * rig['baseline_m']:.1f} mm, "
         f"infinity at {rig['doffs_px']:.2f} px",
     )
     last = search["min_disparity"] + search["disparity_range"] - 1
-    facts.add_row(
-        "searched", f"{search['min_disparity']} to {last} px, {'as given' if search_given else 'recommended'}"
-    )
+    facts.add_row("searched", f"{search['min_disparity']} to {last} px, {'as set' if search_given else 'recommended'}")
     facts.add_row("disparities", f"in steps of {precision['step_px']:.3g} px, sigma {precision['sigma_px']:g} px")
-    facts.add_row("step", "to the depth of the next smaller disparity")
-    facts.add_row("overlap", "of the rectified images' width, at that depth")
+    facts.add_row("step", "difference to the depth of the next smaller disparity")
+    facts.add_row("overlap", "share of the rectified image width at that depth")
     names = ("min_disparity", "disparity_range")
     facts.add_row(f"from {advice['nearest_m']:.3g} m", ", ".join(f"{name}: {advice[name]}" for name in names))
-    facts.add_row("to paste", " ".join(f"--param {name}:={advice[name]}" for name in names))
-    if "image" in result:
-        facts.add_row("image", result["image"])
+    facts.add_row("options", " ".join(f"--param {name}:={advice[name]}" for name in names))
+    if "plot" in result:
+        facts.add_row("plot", escape(result["plot"]))
     return facts
 
 

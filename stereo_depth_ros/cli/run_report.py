@@ -1,26 +1,89 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay or an offline run gave, on stdout, and the exit code that says whether everything came through."""
+"""Result of replay, process and demo: tables or JSON on stdout, warnings, and the exit code."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import typer
+from rich.markup import escape
+from rich.table import Table
 
-from stereo_depth_ros.cli.output import EXIT_LOST, messages, show
-from stereo_depth_ros.cli.tables import result_tables
+from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, messages, show, warn
+from stereo_depth_ros.cli.tables import facts_table, plain_table
 from stereo_depth_ros.offline.report import RunReport
 
 __all__ = ["finish_run"]
 
 
 def finish_run(result: RunReport, json_file: Path | None, overwrite: bool, image: Path | None = None) -> None:
-    """Tables or JSON, warnings, and exit code 3 where a pair was skipped or an output lost."""
+    """Print tables or JSON and warnings; exit with code 3 if pairs were skipped or outputs lost.
+
+    Raises:
+        OutputError: the JSON file or stdout cannot be written.
+    """
     values = result.to_json() | ({"image": str(image)} if image else {})
-    show(result_tables(result, image), values, json_file, overwrite=overwrite)
+    show(_tables(result, image), values, json_file, overwrite=overwrite)
     for text in result.warnings:
-        messages.print(f"warning: {text}", markup=False)
+        warn(text)
     if result.skipped or (result.lost and not result.realtime):
-        messages.print(f"error: {result.skipped} pairs left out, {result.lost} outputs lost: see the warnings above")
-        raise typer.Exit(EXIT_LOST)
+        messages.print(f"error: {result.skipped} pairs skipped, {result.lost} outputs lost: see the warnings above")
+        raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def _tables(result: RunReport, image: Path | None = None) -> Iterator[Table]:
+    """Latency of each output, time of each stage, and a summary."""
+    if result.outputs:
+        yield _outputs_table(result)
+    if result.stages_ms:
+        yield _stages_table(result)
+    yield _summary_table(result, image)
+
+
+def _summary_table(result: RunReport, image: Path | None) -> Table:
+    facts = facts_table()
+    facts.add_row("pairs read", str(result.pairs))
+    if result.unpaired_left or result.unpaired_right:
+        facts.add_row("unpaired images", f"left {result.unpaired_left}, right {result.unpaired_right}")
+    if result.skipped:
+        facts.add_row("pairs skipped", str(result.skipped))
+    facts.add_row("pairs per second", f"{result.frames_per_second:.1f}")
+    score = result.score
+    if score is not None:
+        facts.add_row("disparity images", str(score.frames))
+        facts.add_row("valid pixels", f"{100 * score.valid_fraction:.1f} %")
+        if score.truth_frames:
+            facts.add_row(
+                "error against truth",
+                f"median {score.median_px:.3f} px, mean {score.avg_px:.3f} px, {score.bad_2:.2f} % above 2 px "
+                f"({score.truth_frames} frames, density {100 * score.density:.1f} %)",
+            )
+    if result.output is not None:
+        facts.add_row("bag written", escape(str(result.output)))
+    if image is not None:
+        facts.add_row("image written", escape(str(image)))
+    return facts
+
+
+def _outputs_table(result: RunReport) -> Table:
+    table = plain_table(
+        "output", "received:r", "lost:r", "p50 ms:r", "p95 ms:r", title="latency from raw pair sent to output received"
+    )
+    for topic, stats in result.outputs.items():
+        lost = f"[red]{stats.lost}" if stats.lost else "0"
+        table.add_row(escape(topic), str(stats.received), lost, _ms(stats.p50_ms), _ms(stats.p95_ms))
+    return table
+
+
+def _stages_table(result: RunReport) -> Table:
+    table = plain_table("stage", "p50 ms:r", "p95 ms:r", title="computing time of the stages")
+    for stage, (p50, p95) in result.stages_ms.items():
+        table.add_row(escape(stage), _ms(p50), _ms(p95))
+    return table
+
+
+def _ms(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f}"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The end of standard output: what it still holds is written, and a full disk or a closed pipe is no traceback."""
+"""Flushing of standard output at exit, without a traceback on a full disk or a closed pipe."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import sys
 from contextlib import suppress
 
 from stereo_depth_ros.core.errors import OutputError
-from stereo_depth_ros.files.output import telling
+from stereo_depth_ros.files.output import as_output_errors
 
 __all__ = ["finish_stdout"]
 
 
 def finish_stdout() -> None:
-    """Write what stdout still holds; who has closed the pipe it goes to is told nothing.
+    """Flush stdout; after a closed pipe exit with code 1 and without a message.
 
     Raises:
         OutputError: it cannot be written.
     """
     try:
-        with telling("standard output"):
+        with as_output_errors("standard output"):
             if sys.stdout is not None:
                 sys.stdout.flush()
     except BrokenPipeError:
@@ -33,6 +33,6 @@ def finish_stdout() -> None:
 
 
 def _drop_stdout() -> None:
-    """Python would try once more at its end, and complain."""
+    """Redirect stdout to /dev/null: Python flushes it again at exit."""
     with suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

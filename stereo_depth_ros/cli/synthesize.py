@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth synthesize`: a synthetic bag with exact truth."""
+"""`stereo-depth synthesize`: writes a synthetic bag with exact ground truth."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ app = new_app()
 @app.command()
 def synthesize(
     output: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Bag to write.")],
-    frames: Annotated[int, typer.Option(min=1, help="Number of pairs.")] = 20,
-    width: Annotated[int, typer.Option(min=16, help="Of the images, pixels.")] = 640,
-    height: Annotated[int, typer.Option(min=16, help="Of the images, pixels.")] = 480,
-    seed: Annotated[int, typer.Option(min=0, help="Of textures and noise.")] = 7,
+    frames: Annotated[int, typer.Option(min=1, metavar="N", help="Number of pairs.")] = 20,
+    width: Annotated[int, typer.Option(min=16, metavar="PIXELS", help="Width of the images.")] = 640,
+    height: Annotated[int, typer.Option(min=16, metavar="PIXELS", help="Height of the images.")] = 480,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Random seed of textures and noise.")] = 7,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a synthetic stereo bag with exact truth: a room seen by a moving, distorted, verged rig.
+    """Write a synthetic stereo bag with exact ground truth: a room seen by a moving rig of verged, distorted cameras.
 
     \b
     Example:

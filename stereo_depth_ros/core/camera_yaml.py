@@ -8,8 +8,6 @@ import io
 from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
@@ -33,6 +31,9 @@ def camera_from_yaml(text: str, source: str = "camera file") -> CameraModel:
     Raises:
         CalibrationError: not plain YAML, or keys or values are missing.
     """
+    from ruamel.yaml import YAML  # on first use: no node reads a camera file
+    from ruamel.yaml.error import YAMLError
+
     try:
         entries = YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:
@@ -65,6 +66,8 @@ def camera_from_yaml(text: str, source: str = "camera file") -> CameraModel:
 
 def camera_to_yaml(camera: CameraModel, camera_name: str) -> str:
     """The YAML text of a camera, every number with all its digits."""
+    from ruamel.yaml import YAML
+
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style, yaml.width = None, 1000  # each list of numbers on one line
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]

@@ -1,26 +1,26 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gathers from a bag what the doctor examines."""
+"""Surveys a bag for the doctor."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
-from stereo_depth_ros.bags.reader import BagMessage, BagReader
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.topics import StereoTopics
-from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.pairing import StereoPairing
-from stereo_depth_ros.core.types import Frame, StereoPair
-from stereo_depth_ros.diagnosis.checks.streams import NEAR
 from stereo_depth_ros.diagnosis.finding import Finding, Level
-from stereo_depth_ros.diagnosis.survey import PAIRS_LOOKED_AT, CameraRecord, StereoSetup
-from stereo_depth_ros.messages.cdr import cdr_stamp_ns, without_stamp
-from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.diagnosis.survey import NEAR, PAIRS_EXAMINED, StereoSetup, Survey
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 
 __all__ = ["survey_bag"]
+
+_Times: TypeAlias = tuple[int, int]  # stamp and log time of an image, ns
 
 
 def survey_bag(
@@ -41,89 +41,54 @@ def survey_bag(
         TopicError: no stereo pair in it.
     """
     with BagReader(path) as reader:
-        return _BagSurvey(reader, reader.stereo_topics(left, right)).run(progress)
+        topics = reader.stereo_topics(left, right)
+        survey = Survey(str(path), topics, RosbagsTypes().deserialize)
+        if reader.warning:
+            warning = Finding("bag", Level.WARNING, reader.warning, "whole", "record again, or repair it")
+            survey.findings.append(warning)
+        images = _read(reader, topics, survey, progress)
+        for times in _spread(_paired(images["left"], images["right"])):
+            names = (topics.left_image, topics.right_image)
+            survey.add_pair(*(_image_at(reader, *place) for place in zip(names, times, strict=True)))
+        return survey.setup()
 
 
-class _BagSurvey:
-    """One pass over the stamps and camera infos, then a look at the chosen pairs."""
+def _read(
+    reader: BagReader, topics: StereoTopics, survey: Survey, progress: Callable[[int, int], None]
+) -> dict[str, list[_Times]]:
+    """Adds all stamps and camera infos; the times of the images by side."""
+    images: dict[str, list[_Times]] = {"left": [], "right": []}
+    image_sides = {topics.left_image: "left", topics.right_image: "right"}
+    info_sides = {topics.left_info: "left", topics.right_info: "right"}
+    wanted = [topic for topic in (*image_sides, *info_sides) if topic is not None]
+    total = sum(reader.topics[topic].count for topic in wanted)
+    for number, message in enumerate(reader.messages(wanted), start=1):
+        if side := image_sides.get(message.topic):
+            if (stamp_ns := survey.add_image(side, message.data)) is not None:
+                images[side].append((stamp_ns, message.log_time_ns))
+        else:
+            survey.add_info(info_sides[message.topic], message.data)
+        progress(number, total)
+    return images
 
-    def __init__(self, reader: BagReader, topics: StereoTopics) -> None:
-        self._reader = reader
-        self._topics = topics
-        self._images: dict[str, list[tuple[int, int]]] = {topics.left_image: [], topics.right_image: []}
-        self._infos: dict[str, dict[bytes, BagMessage]] = {
-            topic: {} for topic in (topics.left_info, topics.right_info) if topic is not None
-        }
-        self._findings: list[Finding] = []
 
-    def run(self, progress: Callable[[int, int], None]) -> StereoSetup:
-        """See :func:`survey_bag`."""
-        if self._reader.warning:
-            warning = Finding("bag", Level.WARNING, self._reader.warning, "whole", "record again, or repair it")
-            self._findings.append(warning)
-        self._read(progress)
-        pairs = self._pairs()
-        topics = self._topics
-        return StereoSetup(
-            str(self._reader.path),
-            self._record("left", topics.left_image, topics.left_info),
-            self._record("right", topics.right_image, topics.right_info),
-            pairs,
-            topics.rectified,
-            tuple(self._findings),
-        )
+def _paired(left: list[_Times], right: list[_Times]) -> list[tuple[_Times, _Times]]:
+    """The times of the left and the right image of each pair."""
+    pairing: StereoPairing[_Times] = StereoPairing(NEAR)
+    pairs = []
+    for times, is_left in sorted([(times, True) for times in left] + [(times, False) for times in right]):
+        pairs += (pairing.add_left if is_left else pairing.add_right)(times[0], times)
+    return pairs + pairing.flush()
 
-    def _read(self, progress: Callable[[int, int], None]) -> None:
-        wanted = [*self._images, *self._infos]
-        total = sum(self._reader.topics[topic].count for topic in wanted)
-        for number, message in enumerate(self._reader.messages(wanted), start=1):
-            try:
-                stamp_ns = cdr_stamp_ns(message.data)
-            except MessageError as error:
-                self._findings.append(Finding.refused(f"message of {message.topic}", error))
-                continue
-            if message.topic in self._images:
-                self._images[message.topic].append((stamp_ns, message.log_time_ns))
-            else:
-                self._infos[message.topic].setdefault(without_stamp(message.data), message)
-            progress(number, total)
 
-    def _record(self, side: str, image: str, info: str | None) -> CameraRecord:
-        infos = []
-        for message in self._infos.get(info or "", {}).values():
-            try:
-                infos.append(self._reader.deserialize(message))
-            except MessageError as error:
-                self._findings.append(Finding.refused(f"{side} camera info", error))
-        return CameraRecord(image, info, [stamp_ns for stamp_ns, _ in self._images[image]], infos)
+def _spread(pairs: list[tuple[_Times, _Times]]) -> Iterator[tuple[_Times, _Times]]:
+    """A few of the pairs, from all over the bag."""
+    if pairs:
+        yield from (pairs[at] for at in np.unique(np.linspace(0, len(pairs) - 1, PAIRS_EXAMINED).astype(int)))
 
-    def _pairs(self) -> list[StereoPair]:
-        """Decoded pairs from all over the bag; of a camera that cannot be decoded the first error is told."""
-        paired = self._paired()
-        chosen = np.unique(np.linspace(0, len(paired) - 1, PAIRS_LOOKED_AT).astype(int)) if paired else ()
-        pairs = []
-        for index in chosen:
-            frames = [self._decode(topic, *at) for topic, at in zip(self._images, paired[index], strict=True)]
-            if frames[0] is not None and frames[1] is not None:
-                pairs.append(StereoPair(frames[0], frames[1]))
-        return pairs
 
-    def _paired(self) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-        """Stamp and log time of the left and the right image of each pair."""
-        pairing: StereoPairing[tuple[int, int]] = StereoPairing(NEAR)
-        left, right = self._images.values()
-        pairs = []
-        for item, is_left in sorted([(item, True) for item in left] + [(item, False) for item in right]):
-            pairs += (pairing.add_left if is_left else pairing.add_right)(item[0], item)
-        return pairs + pairing.flush()
-
-    def _decode(self, topic: str, stamp_ns: int, log_time_ns: int) -> Frame | None:
-        for message in self._reader.messages([topic], log_time_ns, log_time_ns):
-            if cdr_stamp_ns(message.data) != stamp_ns:
-                continue
-            try:
-                return decode(self._reader.deserialize(message), topic)
-            except MessageError as error:
-                if not any(finding.check == f"images of {topic}" for finding in self._findings):
-                    self._findings.append(Finding.refused(f"images of {topic}", error, f"image of {topic}"))
-        return None
+def _image_at(reader: BagReader, topic: str, times: _Times) -> bytes:
+    """The bytes of the image with this stamp."""
+    stamp_ns, log_time_ns = times
+    messages = reader.messages([topic], log_time_ns, log_time_ns)
+    return next(message.data for message in messages if cdr_stamp_ns(message.data) == stamp_ns)

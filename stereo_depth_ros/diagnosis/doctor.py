@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Examines a stereo setup: camera infos, stamps, images, and how well they fit together."""
+"""Examines a stereo setup: camera infos, stamps, images, row errors."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from stereo_depth_ros.core.camera import CameraModel
@@ -40,14 +41,14 @@ from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["diagnose"]
 
-MIN_SHOWN = 0.4  # share of the rectified image that has a source; alpha = 1 of wide lenses leaves 60 % and more
+MIN_SHOWN = 0.4  # share of the rectified image that has a source; wide lenses with alpha = 1 have 60 % and more
 
 
 def diagnose(setup: StereoSetup, progress: Callable[[int, int], None] = lambda done, total: None) -> Diagnosis:
-    """Everything that can be said of a setup; no fault hides another one.
+    """All findings on a setup; no fault hides another one.
 
     Args:
-        setup: what there is.
+        setup: what to examine.
         progress: called with pairs matched and pairs to match.
     """
     cameras, findings = _examine_infos(setup)
@@ -62,7 +63,7 @@ def _sides(setup: StereoSetup) -> tuple[tuple[str, CameraRecord], tuple[str, Cam
 
 
 def _examine_infos(setup: StereoSetup) -> tuple[list[CameraModel], list[Finding]]:
-    """The cameras, both or none, and what the camera infos say by themselves."""
+    """The cameras, both or none, and the findings on the camera infos."""
     cameras: list[CameraModel] = []
     findings: list[Finding] = []
     faulty = False
@@ -78,35 +79,35 @@ def _examine_infos(setup: StereoSetup) -> tuple[list[CameraModel], list[Finding]
         findings += check_pair(*cameras)
     findings += check_frame_names(*cameras)
     if max(finding.level for finding in findings) < Level.ERROR:
-        findings += _rest(cameras, (setup.left.info_topic or "left", setup.right.info_topic or "right"))
+        findings += _examine_rig(cameras, (setup.left.info_topic or "left", setup.right.info_topic or "right"))
     return cameras, findings
 
 
-def _rest(cameras: list[CameraModel], topics: tuple[str, str]) -> list[Finding]:
-    """What the nodes refuse and no check above has told."""
+def _examine_rig(cameras: list[CameraModel], topics: tuple[str, str]) -> list[Finding]:
+    """What the nodes refuse and no other check has found."""
     try:
         StereoRig(cameras[0], cameras[1], topics)
     except CalibrationError as error:
-        return [Finding.refused("rig", error)]
+        return [replace(Finding.refused("rig", error), value=f"{error.subject}: {error.problem}")]
     return []
 
 
 def _examine_camera(setup: StereoSetup, side: str, record: CameraRecord) -> tuple[list[Finding], CameraModel | None]:
     check, topic = f"{side} camera info", record.info_topic
     if not record.infos:
-        came = f"nothing on {topic}" if topic else f"none belongs to {record.image_topic}"
+        value = f"nothing on {topic}" if topic else f"none belongs to {record.image_topic}"
         remedy = setup.silent.get(topic or "", "publish camera infos, or record them too")
-        return [Finding(check, Level.ERROR, came, "1", remedy)], None
+        return [Finding(check, Level.ERROR, value, "1", remedy)], None
     findings = []
     if len(record.infos) > 1:
-        remedy = "one of them is wrong, or something publishes on the same topic: stop one publisher"
+        remedy = "one of them is wrong, or there are two publishers: stop one"
         findings.append(Finding(check, Level.WARNING, f"{len(record.infos)} different ones", "1", remedy))
     else:
         findings.append(Finding(check, Level.OK, record.info_topic or "", "1"))
     try:
         camera = camera_from_info(record.infos[0], side)
     except CalibrationError as error:
-        return [*findings, Finding.refused(f"{side} roi", error, side, "inside the sensor")], None
+        return [*findings, Finding.refused(f"{side} roi", error, "inside the sensor")], None
     own = check_camera(camera, side)
     findings += own
     if not is_wrong(own, f"{side} size", f"{side} K", f"{side} distortion"):
@@ -115,9 +116,9 @@ def _examine_camera(setup: StereoSetup, side: str, record: CameraRecord) -> tupl
 
 
 def _size_of_K(setup: StereoSetup, side: str, camera: CameraModel) -> tuple[int, int]:  # noqa: N802
-    """Width and height that K is held against: of the images where it fits them, else of the camera info.
+    """Width and height that K is compared with: of the images where it fits them, else of the camera info.
 
-    That the two sizes differ is told by the check of the images.
+    The check of the images reports where the two sizes differ.
     """
     if setup.pairs:
         height, width = getattr(setup.pairs[0], side).pixels.shape[:2]
@@ -138,8 +139,8 @@ def _examine_streams(setup: StereoSetup) -> list[Finding]:
 def _examine_images(setup: StereoSetup, cameras: list[CameraModel]) -> list[Finding]:
     """Sizes, frames and exposure."""
     if not setup.pairs:
-        remedy = "let both cameras send, or record both"
-        return [Finding("images", Level.LEFT_OUT, "no pair of images", "1 pair", remedy)]
+        remedy = "make both cameras publish, or record both"
+        return [Finding("images", Level.SKIPPED, "no pair of images", "1 pair", remedy)]
     findings = []
     for (side, record), camera in zip(_sides(setup), cameras, strict=False):
         frame = getattr(setup.pairs[0], side)
@@ -158,18 +159,18 @@ def _examine_rows(
     before: list[Finding],
     progress: Callable[[int, int], None],
 ) -> list[Finding]:
-    """What the features of rectified images say."""
+    """Findings by the features of rectified images."""
     if not setup.pairs or is_wrong(before, "two cameras"):
         return []
     done = itertools.count(1)
     progress(0, len(setup.pairs))
-    as_came = [(to_gray(pair.left), to_gray(pair.right)) for pair in setup.pairs]
+    as_published = [(to_gray(pair.left), to_gray(pair.right)) for pair in setup.pairs]
     rig, why_not = _rig_of_images(setup, cameras)
-    raw = None if setup.rectified else check_raw_rows(as_came[::2])
+    raw = None if setup.rectified else check_raw_rows(as_published[::2])
     findings = [] if raw is None else [raw]
     if rig is None and not setup.rectified:
         return [*findings, _not_rectified(raw)]
-    given, exchanged, shown = _rectified(setup, rig, as_came)
+    given, exchanged, shown = _rectified(setup, rig, as_published)
     if shown is not None:
         findings.append(shown)
     matching = match_image_pairs(given, lambda: progress(next(done), len(setup.pairs)))
@@ -177,7 +178,7 @@ def _examine_rows(
     order = check_camera_order(given, matching, exchanged, rig.doffs_px if rig else 0.0, columns_fit)
     findings.append(order)
     if order.level is Level.ERROR:
-        return [*findings, Finding("rows", Level.LEFT_OUT, "not judged while the cameras are swapped")]
+        return [*findings, Finding("rows", Level.SKIPPED, "not checked while the cameras are swapped")]
     height, width = given[0][0].shape
     findings.append(check_rows(matching, raw, width, height, rig.f_px if rig else None))
     if rig is not None:
@@ -186,16 +187,16 @@ def _examine_rows(
 
 
 def _not_rectified(raw: Finding | None) -> Finding:
-    """Rows that cannot be judged for want of a calibration; images may be rectified without it."""
+    """Rows that cannot be checked without a calibration; the images may be rectified already."""
     value = "no calibration to rectify with"
     median_px = raw.figures["median_px"] if raw is not None else None
     if median_px is None or median_px > GOOD_ROWS_PX:
-        return Finding("rows", Level.LEFT_OUT, value)
-    return Finding("rows", Level.LEFT_OUT, value, "", "the rows agree as they are: the images may be rectified already")
+        return Finding("rows", Level.SKIPPED, value)
+    return Finding("rows", Level.SKIPPED, value, "", "the rows agree as they are: the images may be rectified already")
 
 
 def _rig_of_images(setup: StereoSetup, cameras: list[CameraModel]) -> tuple[StereoRig | None, str]:
-    """The rig that rectifies the images as they came, and why it is no whole rig."""
+    """The rig that rectifies the images as published, and why it gives no depth."""
     if not cameras:
         return None, ""
     left, right = (camera.rectified() for camera in cameras) if setup.rectified else cameras
@@ -203,16 +204,16 @@ def _rig_of_images(setup: StereoSetup, cameras: list[CameraModel]) -> tuple[Ster
     if rig is not None and any(
         frame.pixels.shape[:2] != (rig.height, rig.width) for pair in setup.pairs for frame in (pair.left, pair.right)
     ):
-        return None, "the images have another size than the camera infos say: make them agree"
+        return None, "the images and the camera infos differ in size: make them agree"
     return rig, why_not
 
 
 def _rectified(
-    setup: StereoSetup, rig: StereoRig | None, as_came: ImageArrayPairs
+    setup: StereoSetup, rig: StereoRig | None, as_published: ImageArrayPairs
 ) -> tuple[ImageArrayPairs, Callable[[], ImageArrayPairs], Finding | None]:
-    """The rectified images, what rectifies them the other way round, and how much of them is shown."""
+    """The rectified images, what rectifies them swapped, and the finding on the share that has a source."""
     if rig is None:
-        return as_came, lambda: [(right, left) for left, right in as_came], None
+        return as_published, lambda: [(right, left) for left, right in as_published], None
     rectifier = Rectifier(rig)
 
     def rectify(left: Any, right: Any) -> Any:
@@ -228,5 +229,5 @@ def _check_shown(shown: float) -> Finding:
     value, limit = f"{100 * shown:.0f} % of the rectified image has a source", f"{100 * MIN_SHOWN:.0f} %"
     if shown >= MIN_SHOWN:
         return Finding("rectified image", Level.OK, value, limit, "", {"share": shown})
-    remedy = "R and P do not fit K: take all matrices from one calibration, or calibrate again"
+    remedy = "R and P do not fit K: use all matrices of one calibration, or calibrate again"
     return Finding("rectified image", Level.WARNING if shown else Level.ERROR, value, limit, remedy, {"share": shown})

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One line of what the doctor says: what was looked at, what was found, and what to do."""
+"""A finding of the doctor: what was checked, what was found, and what to do."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from stereo_depth_ros.core.errors import StereoDepthError
+
 __all__ = ["Finding", "Level", "is_wrong"]
 
 
 class Level(enum.IntEnum):
-    """How bad it is; the worst of a list is its maximum."""
+    """Severity; the worst of a list is its maximum."""
 
     OK = 0
-    LEFT_OUT = 1  # could not be looked at
+    SKIPPED = 1  # could not be checked
     WARNING = 2  # works, but worse than it could
     ERROR = 3  # no depth, or wrong depth
 
@@ -26,12 +28,13 @@ class Finding:
     """A check and its outcome.
 
     Attributes:
-        check: what was looked at, a few words.
-        level: the verdict.
+        check: what was checked, in a few words.
+        level: the severity.
         value: what was found.
-        limit: what it is held against.
+        limit: what is expected.
         remedy: what to do; empty where there is nothing to do.
-        figures: the numbers of it, by name with the unit behind.
+        figures: the numbers behind it, by name with unit.
+        settings: values of parameters that the remedy asks for, by name.
     """
 
     check: str
@@ -40,17 +43,12 @@ class Finding:
     limit: str = ""
     remedy: str = ""
     figures: Mapping[str, float | None] = field(default_factory=dict)
+    settings: Mapping[str, bool | int | float] = field(default_factory=dict)
 
     @classmethod
-    def refused(cls, check: str, error: Exception, label: str = "", limit: str = "", remedy: str = "") -> Finding:
-        """An error of the package, whose message is "label: value: remedy".
-
-        Args:
-            label: what the message begins with, left out here.
-            remedy: a better one than the message's own.
-        """
-        value, _, own_remedy = str(error).removeprefix(f"{label}: ").rpartition(": ")
-        return cls(check, Level.ERROR, value, limit, remedy or own_remedy)
+    def refused(cls, check: str, error: StereoDepthError, limit: str = "", remedy: str = "") -> Finding:
+        """An error of the package, about the subject that the check names; with a better remedy where there is one."""
+        return cls(check, Level.ERROR, error.problem, limit, remedy or error.remedy)
 
     def to_json(self) -> dict[str, Any]:
         """For JSON; the level by its name."""
@@ -61,6 +59,7 @@ class Finding:
             "limit": self.limit,
             "remedy": self.remedy,
             "figures": dict(self.figures),
+            "settings": dict(self.settings),
         }
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One fault shows in several checks: they get the remedy of the one that knows the cause."""
+"""Gives findings that have one root cause the remedy of that cause."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ __all__ = ["settled"]
 
 _ORDER, _REFERENCE, _SIGN = "order of the cameras", "left P[:, 3]", "right P[0,3]"
 _FRAMES = ("left frame_id", "right frame_id")
-# what follows, and from what
-_CONSEQUENCES = {
+# checks that may show the root cause of another check's error
+_ROOT_CAUSES = {
     "rows": ("left center", "right center", "left field of view", "right field of view", "rectified image"),
     "sizes": ("left image size", "right image size"),
 }
 
 
 def settled(findings: Sequence[Finding]) -> list[Finding]:
-    """The same findings, those that follow from another one with the remedy of that."""
+    """The same findings; errors that follow from a root cause have its remedy."""
     remedies = _remedies_of_order(findings)
-    for consequence, causes in _CONSEQUENCES.items():
-        cause = [finding for finding in findings if finding.check in causes and finding.level > Level.LEFT_OUT]
+    for check, causes in _ROOT_CAUSES.items():
+        cause = [finding for finding in findings if finding.check in causes and finding.level > Level.SKIPPED]
         if cause:
-            remedies[consequence] = max(cause, key=lambda finding: finding.level).remedy
+            remedies[check] = max(cause, key=lambda finding: finding.level).remedy
     return [
         replace(finding, remedy=remedies.get(finding.check, finding.remedy))
         if finding.level is Level.ERROR
@@ -36,9 +36,9 @@ def settled(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def _remedies_of_order(findings: Sequence[Finding]) -> dict[str, str]:
-    """Camera infos and names only show that something is exchanged; the images show what."""
+    """Camera infos and frame names only show that something is swapped; the images show what."""
     order = next((finding for finding in findings if finding.check == _ORDER), None)
-    if order is None or order.level is Level.LEFT_OUT:
+    if order is None or order.level is Level.SKIPPED:
         return {}
     if order.level is Level.ERROR:
         return dict.fromkeys((_REFERENCE, _SIGN, *_FRAMES), order.remedy)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""All findings on a stereo setup, and the verdict."""
+"""The diagnosis of a stereo setup: all findings, and the verdict."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from stereo_depth_ros.diagnosis.survey import StereoSetup
 
 __all__ = ["Diagnosis"]
 
-_ROOTS = ("two cameras", "order of the cameras")  # faults from which others follow
+_ROOT_CAUSES = ("two cameras", "order of the cameras")  # named first in the verdict
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All findings, in the order of the path from the camera to depth."""
+    """All findings, in the order from the cameras to depth."""
 
     setup: StereoSetup
     findings: Sequence[Finding] = field(default_factory=tuple)
@@ -26,34 +26,32 @@ class Diagnosis:
     @property
     def level(self) -> Level:
         """The worst level of all findings."""
-        return max((finding.level for finding in self.findings), default=Level.LEFT_OUT)
+        return max((finding.level for finding in self.findings), default=Level.SKIPPED)
 
     @property
     def verdict(self) -> str:
         """One line."""
         worst = [finding for finding in self.findings if finding.level is self.level]
-        worst.sort(key=lambda finding: finding.check not in _ROOTS)
-        left_out = [finding.check for finding in self.findings if finding.level is Level.LEFT_OUT]
-        not_seen = f"; not looked at: {', '.join(left_out)}" if left_out else ""
-        if self.level <= Level.LEFT_OUT:
-            return f"no fault was found{not_seen}" if left_out else f"healthy; {self._facts()}"
+        worst.sort(key=lambda finding: finding.check not in _ROOT_CAUSES)
+        names = ", ".join(finding.check for finding in self.findings if finding.level is Level.SKIPPED)
+        skipped = f"; skipped: {names}" if names else ""
+        if self.level <= Level.SKIPPED:
+            return f"no fault found{skipped}" if skipped else f"healthy; {self._facts()}"
         cause = f"{worst[0].check}: {worst[0].remedy or worst[0].value}"
         more = f" (and {len(worst) - 1} more)" if len(worst) > 1 else ""
         if self.level is Level.ERROR:
             return f"not usable; {cause}{more}"
-        return f"usable, could be better; {cause}{more}{not_seen}"
+        return f"usable, could be better; {cause}{more}{skipped}"
 
     @property
-    def left_out(self) -> bool:
-        """Something could not be looked at."""
-        return any(finding.level is Level.LEFT_OUT for finding in self.findings)
+    def skipped(self) -> bool:
+        """A check was skipped."""
+        return any(finding.level is Level.SKIPPED for finding in self.findings)
 
     @property
-    def search(self) -> str:
-        """The parameters that make the matchers search what the features show; empty where that is not known."""
-        figures = self._figures("disparities")
-        names = ("min_disparity", "disparity_range")
-        return " ".join(f"--param {name}:={figures[name]:.0f}" for name in names if name in figures)
+    def search(self) -> Mapping[str, bool | int | float]:
+        """Values of the parameters that make the matchers search what the features show; empty where not known."""
+        return next((finding.settings for finding in self.findings if finding.check == "disparities"), {})
 
     def _facts(self) -> str:
         baseline, rows, depths = (self._figures(c) for c in ("baseline", "rows", "depths of the features"))
@@ -73,8 +71,8 @@ class Diagnosis:
             "level": self.level.name.lower(),
             "healthy": self.level is Level.OK,
             "verdict": self.verdict,
-            "search": self.search,
+            "search": dict(self.search),
             "topics": {side: {"image": r.image_topic, "camera_info": r.info_topic} for side, r in sides.items()},
-            "pairs_looked_at": len(self.setup.pairs),
+            "pairs_examined": len(self.setup.pairs),
             "findings": [finding.to_json() for finding in self.findings],
         }

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rule for every file that is written: nothing that is read or already there is lost, nothing half written shows.
+"""Safe output files: inputs and existing files are protected, and a file appears only when it is complete.
 
-A file is written under a temporary name beside its own and gets its own name when it is complete.
+A file is written under a temporary name in the same folder and renamed when it is complete.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from types import TracebackType
 
 from stereo_depth_ros.core.errors import OutputError
 
-__all__ = ["OutputFile", "check_outputs", "telling", "write_file"]
+__all__ = ["OutputFile", "as_output_errors", "check_outputs", "write_file"]
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -32,62 +32,62 @@ def check_outputs(
     reports: Iterable[Path | None] = (),
     overwrite: bool = False,
 ) -> None:
-    """Refuse files that must not or cannot be written; to be called before anything is read or computed.
+    """Refuse files that must not or cannot be written; call it before anything is read or computed.
 
     Args:
-        outputs: files that will be written; the folders above them will be made.
-        inputs: files that are read; none of them is written, not even under another name.
-        reports: further files that will be written, in folders that are there; None and "-" (stdout) are none.
-        overwrite: files that are there may be replaced.
+        outputs: files that will be written; missing parent folders will be created.
+        inputs: files that are read; none of them may be written, also not through a link.
+        reports: more files that will be written, in existing folders; None and "-" (stdout) are ignored.
+        overwrite: existing files may be replaced.
 
     Raises:
-        OutputError: a file is an input, is named twice, is there already, is a folder, or its folder cannot be written.
+        OutputError: a file is an input, is named twice, already exists, is a folder, or its folder is not writable.
     """
-    made = list(outputs)
-    written = [*made, *(report for report in reports if report is not None and str(report) != "-")]
+    created = list(outputs)
+    written = [*created, *(report for report in reports if report is not None and str(report) != "-")]
     read = {_identity(path) for path in inputs} - {None} if any(map(_identity, written)) else set()
     names: set[str] = set()
     folders: set[Path] = set()
     for number, path in enumerate(written):
         if _identity(path) in read:
-            raise OutputError(f"{path} is read by this command: write to another file")
+            raise OutputError("would overwrite an input", subject=str(path), remedy="write to another file")
         _check_free(path, overwrite)
         if _is_device(path):
             continue
         if path.parent not in folders:
-            _check_folder(path, may_be_made=number < len(made))
+            _check_folder(path, may_be_created=number < len(created))
             folders.add(path.parent)
         if (name := os.path.realpath(path)) in names:
-            raise OutputError(f"{path} is named for two outputs: give each a file of its own")
+            raise OutputError("two outputs have this name", subject=str(path), remedy="give each a different name")
         names.add(name)
 
 
 def write_file(path: Path, data: bytes | str, *, overwrite: bool = False, make_folders: bool = False) -> None:
-    """Write a whole file; text as UTF-8. The arguments are those of :class:`OutputFile`.
+    """Write a complete file; text as UTF-8. The arguments are those of :class:`OutputFile`.
 
     Raises:
-        OutputError: the file is there and ``overwrite`` is false, or it cannot be written.
+        OutputError: the file exists and ``overwrite`` is false, or it cannot be written.
     """
-    with OutputFile(path, overwrite=overwrite, make_folders=make_folders) as output, telling(path):
+    with OutputFile(path, overwrite=overwrite, make_folders=make_folders) as output, as_output_errors(path):
         output.file.write(data.encode() if isinstance(data, str) else data)
 
 
 class OutputFile:
-    """A file that appears under its name when the ``with`` block has ended, and not at all where it ends in an error.
+    """A file that appears when its ``with`` block has ended without an error.
 
-    Devices and pipes have no content to lose: they are written directly.
+    Devices and pipes have no content to protect and are written directly.
 
     Args:
         path: the file.
-        overwrite: replace a file that is there; a link is replaced, what it points to stays.
-        make_folders: make the folders above it.
+        overwrite: replace an existing file; of a link, the link is replaced and its target is kept.
+        make_folders: create missing parent folders.
 
     Attributes:
         path: the file.
-        file: where to write, binary.
+        file: binary file object to write to.
 
     Raises:
-        OutputError: the file is there and ``overwrite`` is false, or it cannot be made.
+        OutputError: the file exists and ``overwrite`` is false, or it cannot be created.
     """
 
     def __init__(self, path: Path, *, overwrite: bool = False, make_folders: bool = False) -> None:
@@ -95,24 +95,24 @@ class OutputFile:
         self.path = path
         self._overwrite = overwrite
         self._temporary = None if _is_device(path) else path.with_name(f".{secrets.token_hex(8)}.partial")
-        with telling(path):
+        with as_output_errors(path):
             if make_folders:
                 path.parent.mkdir(parents=True, exist_ok=True)
             if self._temporary is None:
                 self.file = path.open("wb")
             else:
-                # also at the end of the process, wherever an interrupt strikes
+                # runs at process exit too, wherever an interrupt occurs
                 self._remove = weakref.finalize(self, self._temporary.unlink, missing_ok=True)
                 self.file = self._temporary.open("xb")  # exclusive: a link of this name is not followed
 
     def close(self) -> None:
-        """Give the file its name.
+        """Complete the file and give it its name.
 
         Raises:
-            OutputError: it cannot be written to its end, or a file of this name has appeared meanwhile.
+            OutputError: writing fails, or a file of this name has been created in the meantime.
         """
         try:
-            with telling(self.path):
+            with as_output_errors(self.path):
                 self.file.close()
                 if self._temporary is not None:
                     self._rename(self._temporary)
@@ -120,7 +120,7 @@ class OutputFile:
             self.discard()
 
     def discard(self) -> None:
-        """Leave nothing behind; after :meth:`close` this does nothing."""
+        """Remove the incomplete file; does nothing after :meth:`close`."""
         with suppress(OSError):
             self.file.close()
         if self._temporary is not None:
@@ -146,69 +146,74 @@ class OutputFile:
         except FileExistsError:
             _check_free(self.path, overwrite=False)
             raise
-        except OSError:  # a file system without hard links: the name is taken first
+        except OSError:  # a file system without hard links: reserve the name first
             self.path.open("xb").close()
             temporary.replace(self.path)
 
 
 @contextmanager
-def telling(what: Path | str) -> Iterator[None]:
-    """Errors of the system while ``what`` is written become errors of the package; a pipe that is closed stays one.
+def as_output_errors(subject: Path | str) -> Iterator[None]:
+    """Convert OSErrors raised while ``subject`` is written; BrokenPipeError passes unchanged.
 
     Raises:
-        OutputError: instead of OSError.
+        OutputError: in place of an OSError.
     """
     try:
         yield
     except BrokenPipeError:
         raise
     except OSError as error:
-        remedy = "make room on the disk" if error.errno in _DISK_FULL else "take a folder that can be written"
-        raise OutputError(f"cannot write {what}: {error.strerror or error}: {remedy}") from error
+        remedy = "free space on the disk" if error.errno in _DISK_FULL else "choose a writable folder"
+        raise _cannot_write(subject, error.strerror or str(error), remedy) from error
 
 
 def _check_free(path: Path, overwrite: bool) -> None:
-    with telling(path):
+    with as_output_errors(path):
         try:
             os.lstat(path)
         except FileNotFoundError:
             return
     mode = _mode(path)
     if stat.S_ISDIR(mode):
-        raise OutputError(f"cannot write {path}: it is a folder, name a file")
+        raise _cannot_write(path, "it is a folder", "name a file")
     if _is_device(path):
         return
     if not overwrite:
-        raise OutputError(f"{path} exists: remove it, write to another file, or give --overwrite")
+        remedy = "remove it, write to another file, or allow overwriting"
+        raise OutputError("already exists", subject=str(path), remedy=remedy, settings=("overwrite",))
     if mode and not os.access(path, os.W_OK):
-        raise OutputError(f"cannot write {path}: it is write-protected: allow writing, or write to another file")
+        raise _cannot_write(path, "it is write-protected", "change its permissions, or write to another file")
 
 
-def _check_folder(path: Path, may_be_made: bool) -> None:
-    """A file without a name is made there, for permissions do not tell everything."""
+def _check_folder(path: Path, may_be_created: bool) -> None:
+    """Try to create an unnamed file in the folder: its permissions alone do not show whether this is possible."""
     folder = path.parent
-    if not may_be_made and not stat.S_ISDIR(_mode(folder)):
-        raise OutputError(f"cannot write {path}: there is no folder {folder}: make it, or name another")
+    if not may_be_created and not stat.S_ISDIR(_mode(folder)):
+        raise _cannot_write(path, f"folder {folder} does not exist", "create it, or choose another folder")
     while not _mode(folder):
         folder = folder.parent
-    with telling(path), tempfile.TemporaryFile(dir=folder):
+    with as_output_errors(path), tempfile.TemporaryFile(dir=folder):
         pass
 
 
+def _cannot_write(subject: Path | str, reason: str, remedy: str) -> OutputError:
+    return OutputError(f"cannot be written: {reason}", subject=str(subject), remedy=remedy)
+
+
 def _is_device(path: Path) -> bool:
-    """Whether there is something that has no content of its own."""
+    """Whether the path is a device, a pipe or a socket."""
     mode = _mode(path)
     return mode != 0 and not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
 
 
 def _mode(path: Path) -> int:
-    """Kind and permissions, links followed; 0 where there is nothing."""
+    """File type and permissions, links followed; 0 if the path does not exist."""
     found = _stat(path)
     return found.st_mode if found is not None else 0
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """The same for all names of a file; None where there is nothing."""
+    """Device and inode, equal for all names of a file; None if the path does not exist."""
     found = _stat(path)
     return (found.st_dev, found.st_ino) if found is not None else None
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rectification of calibrated cameras: how both are turned so that rows agree, and what of the scene they then show."""
+"""Rectification of calibrated cameras: rotations, projection matrices and the common area of the rectified images."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from stereo_depth_ros.geometry.relative_pose import RelativePose
 __all__ = ["METHODS", "Area", "common_area", "rectify_calibrated", "rectifying_rotations"]
 
 METHODS = ("textbook", "opencv")
-MAX_TILT_DEG = 45.0  # of the baseline against the rows; beyond, the image is turned upside down rather than rectified
+MAX_TILT_DEG = 45.0  # of the baseline against the rows
 _EDGE_POINTS = 33
-_INSET_PX = 0.05  # rectified pixels are made of whole raw ones though the maps are rounded to 1/32 px
+_INSET_PX = 0.05  # so that rectified pixels have a source although the maps are rounded to 1/32 px
 
 
 class Area(NamedTuple):
@@ -44,35 +44,40 @@ def rectify_calibrated(
     max_fov_deg: float = 120.0,
     zero_disparity: bool = True,
 ) -> StereoRig:
-    """The rectified rig of two cameras, of whose R and P nothing is used.
+    """Rectify two cameras; their own R and P are not used.
 
-    "textbook" turns the left camera so that its epipole goes to infinity along the rows, with the new y axis at right
-    angles to the old optical axis, and the right camera by the same rotation after the pose's (Trucco and Verri,
-    Introductory Techniques for 3-D Computer Vision, 1998, section 7.3.7; Fusiello, Trucco and Verri 2000). "opencv" is
-    ``cv2.stereoRectify``, or ``cv2.fisheye.stereoRectify``, which turns each camera by half the rotation between them.
+    "textbook" rotates the left camera so that its epipole is at infinity along the rows, with the new y axis
+    orthogonal to the old optical axis, and the right camera by the same rotation after that of the pose (Trucco and
+    Verri, Introductory Techniques for 3-D Computer Vision, 1998, section 7.3.7; Fusiello, Trucco and Verri 2000).
+    "opencv" is ``cv2.stereoRectify`` or ``cv2.fisheye.stereoRectify``, which rotates each camera by half the relative
+    rotation.
 
     Args:
-        left, right: K, D and size, raw.
+        left, right: K, D and size of the raw images.
         pose: of the right camera, t in meters.
         method: "textbook" or "opencv".
-        alpha: 0 shows only pixels that have a source in the raw images, 1 all raw pixels, between is between; for
-            fisheyes known as balance.
-        max_fov_deg: what is seen further than half of that from the axis is left out, as a flat image of it would
-            take most of the pixels; textbook.
-        zero_disparity: points at infinity have disparity 0; False lets each camera look at what it sees most of, so
-            that cameras that are turned towards each other have more in common; textbook.
+        alpha: 0 keeps only pixels that have a source in the raw images, 1 keeps all raw pixels, values between
+            interpolate; the balance of OpenCV's fisheye module.
+        max_fov_deg: field of view kept; rays further than half of it from the axis are cropped; "textbook" only.
+        zero_disparity: points at infinity have disparity 0; with False each principal point is centered on what its
+            camera sees, so that cameras that converge keep more in common; "textbook" only.
 
     Raises:
-        ConfigError: an unknown method, or a parameter out of its range.
-        CalibrationError: cameras that cannot be, a pose up to scale, a baseline that does not lie along the rows, or
-            a baseline out of range.
+        ConfigError: an unknown method, or a parameter out of range.
+        CalibrationError: invalid intrinsics, a pose up to scale, a baseline that is not along the rows, or a baseline
+            out of range.
     """
     _check_parameters(method, alpha, max_fov_deg)
     for camera, label in ((left, "left camera"), (right, "right camera")):
         check_intrinsics(camera, label)
     R_left, R_right = rectifying_rotations(pose)
     if pose.up_to_scale:
-        raise CalibrationError("the pose is known up to scale, P takes meters: measure the baseline, and scale t by it")
+        raise CalibrationError(
+            "the pose is known up to scale, P needs meters",
+            subject="relative pose",
+            remedy="measure the baseline and scale t by it",
+            settings=("baseline",),
+        )
     if method == "opencv":
         return StereoRig.from_calibration(
             left.K, left.D, right.K, right.D, pose.R, pose.t, _size(left), left.distortion_model, left.frame_id, alpha
@@ -80,21 +85,21 @@ def rectify_calibrated(
     cameras = (replace(left, R=R_left), replace(right, R=R_right))
     outlines = [_Outline.of(camera, math.radians(max_fov_deg) / 2) for camera in cameras]
     if zero_disparity:
-        outlines = [outlines[0].together(outlines[1])] * 2
-    f_px, centers = _intrinsics(outlines, _size(left), alpha)
+        outlines = [outlines[0].combined(outlines[1])] * 2
+    f_px, principal_points = _intrinsics(outlines, _size(left), alpha)
     baselines_m = (0.0, float(np.linalg.norm(pose.t)))
     P_left, P_right = (
         np.array([[f_px, 0, cx, -f_px * baseline_m], [0, f_px, cy, 0], [0, 0, 1, 0]])
-        for (cx, cy), baseline_m in zip(centers, baselines_m, strict=True)
+        for (cx, cy), baseline_m in zip(principal_points, baselines_m, strict=True)
     )
     return StereoRig(replace(cameras[0], P=P_left), replace(cameras[1], P=P_right))
 
 
 def rectifying_rotations(pose: RelativePose) -> tuple[F64, F64]:
-    """R of both cameras, float64 (3, 3): the rows e1 along the baseline, e2 = z x e1 of length 1, e3 = e1 x e2.
+    """R of both cameras, float64 (3, 3), with rows e1 along the baseline, e2 = z x e1 normalized, e3 = e1 x e2.
 
     Raises:
-        CalibrationError: the right camera is not to the right of the left one, give or take 45 degrees.
+        CalibrationError: the right camera is not within 45 degrees of the left camera's x axis.
     """
     T = pose.right_center
     e1 = T / np.linalg.norm(T)
@@ -105,9 +110,9 @@ def rectifying_rotations(pose: RelativePose) -> tuple[F64, F64]:
 
 
 def common_area(rig: StereoRig) -> Area:
-    """The pixels, a rectangle of the same rows and columns in both, of which both rectified images have a source.
+    """The rectangle of rows and columns in which both rectified images have a source.
 
-    Empty (width or height 0) where they have none in common. Lenses whose images bulge have a little more than that.
+    Empty (width or height 0) where they have no pixel in common; slightly too small for strong barrel distortion.
     """
     x0, y0, x1, y1 = 0.0, 0.0, rig.width - 1.0, rig.height - 1.0
     for camera in (rig.left, rig.right):
@@ -129,11 +134,11 @@ class _Rectangle(NamedTuple):
 
 
 class _Outline(NamedTuple):
-    """What the raw image covers in the rectified camera.
+    """Coverage of the raw image in the rectified camera.
 
     Attributes:
-        inner: lies within the raw image.
-        outer: holds all of it.
+        inner: rectangle within the raw image.
+        outer: rectangle around the raw image.
     """
 
     inner: _Rectangle
@@ -141,7 +146,7 @@ class _Outline(NamedTuple):
 
     @classmethod
     def of(cls, camera: CameraModel, limit_rad: float) -> _Outline:
-        """Of a camera by its R, as far as this angle from the rectified axis."""
+        """Outline of a camera by its R, up to this angle from the rectified axis."""
         left, right = _INSET_PX, camera.width - 1 - _INSET_PX
         top, bottom = _INSET_PX, camera.height - 1 - _INSET_PX
         along_x, along_y = np.linspace(left, right, _EDGE_POINTS), np.linspace(top, bottom, _EDGE_POINTS)
@@ -149,26 +154,26 @@ class _Outline(NamedTuple):
             np.column_stack(np.broadcast_arrays(x, y))
             for x, y in ((left, along_y), (along_x, top), (right, along_y), (along_x, bottom))
         ]
-        west, north, east, south = (_flat(camera_rays(edge, camera) @ camera.R.T, limit_rad) for edge in edges)
+        west, north, east, south = (_perspective(camera_rays(edge, camera) @ camera.R.T, limit_rad) for edge in edges)
         points = np.concatenate((west, north, east, south))
         inner = np.nanmax(west[:, 0]), np.nanmax(north[:, 1]), np.nanmin(east[:, 0]), np.nanmin(south[:, 1])
         outer = (*np.nanmin(points, axis=0), *np.nanmax(points, axis=0))
         return cls(_Rectangle(*map(float, inner)), _Rectangle(*map(float, outer)))
 
-    def together(self, other: _Outline) -> _Outline:
-        """What is within both, and what holds both."""
+    def combined(self, other: _Outline) -> _Outline:
+        """The rectangle within both, and the rectangle around both."""
         (a, b), (c, d) = self, other
         inner = _Rectangle(max(a.x0, c.x0), max(a.y0, c.y0), min(a.x1, c.x1), min(a.y1, c.y1))
         outer = _Rectangle(min(b.x0, d.x0), min(b.y0, d.y0), max(b.x1, d.x1), max(b.y1, d.y1))
         return _Outline(inner, outer)
 
 
-def _flat(rays: F64, limit_rad: float) -> F64:
-    """float64 (N, 2), x / z and y / z; rays further from the axis than the limit are brought to it."""
+def _perspective(rays: F64, limit_rad: float) -> F64:
+    """float64 (N, 2), x / z and y / z; rays further from the axis than the limit are moved to it."""
     across = np.hypot(rays[:, 0], rays[:, 1])
     angle = np.minimum(np.arctan2(across, rays[:, 2]), limit_rad)
-    flat: F64 = rays[:, :2] * (np.tan(angle) / np.maximum(across, 1e-12))[:, None]
-    return flat
+    points: F64 = rays[:, :2] * (np.tan(angle) / np.maximum(across, 1e-12))[:, None]
+    return points
 
 
 def _intrinsics(
@@ -178,23 +183,23 @@ def _intrinsics(
     inner_px, inner = _fitted([outline.inner for outline in outlines], size, within=True)
     outer_px, outer = _fitted([outline.outer for outline in outlines], size, within=False)
     f_px = (1 - alpha) * inner_px + alpha * outer_px
-    middles = (1 - alpha) * inner + alpha * outer
-    return f_px, [((size[0] - 1) / 2 - f_px * x, (size[1] - 1) / 2 - f_px * y) for x, y in middles]
+    centers = (1 - alpha) * inner + alpha * outer
+    return f_px, [((size[0] - 1) / 2 - f_px * x, (size[1] - 1) / 2 - f_px * y) for x, y in centers]
 
 
 def _fitted(rectangles: list[_Rectangle], size: tuple[int, int], within: bool) -> tuple[float, F64]:
-    """Focal length at which images lie within their rectangles, or show all of them, and the middles of these."""
+    """Focal length at which the images are within their rectangles, or contain them, and the rectangles' centers."""
     x0, y0, x1, y1 = np.array(rectangles).T
     top, bottom = (y0.max(), y1.min()) if within else (y0.min(), y1.max())
     across = (x1 - x0).min() if within else (x1 - x0).max()
     if across <= 0 or bottom <= top:
         raise CalibrationError(
-            "the rectified images have nothing in common: the cameras look past each other, check R of the pose, or "
-            "that it is of these cameras"
+            "the rectified images have no field of view in common",
+            remedy="check R of the pose, and that it belongs to these cameras",
         )
     scales = (size[0] - 1) / across, (size[1] - 1) / (bottom - top)
-    middles = np.column_stack(((x0 + x1) / 2, np.full(len(x0), (top + bottom) / 2)))
-    return float(max(scales) if within else min(scales)), middles
+    centers = np.column_stack(((x0 + x1) / 2, np.full(len(x0), (top + bottom) / 2)))
+    return float(max(scales) if within else min(scales)), centers
 
 
 def _size(camera: CameraModel) -> tuple[int, int]:
@@ -203,25 +208,48 @@ def _size(camera: CameraModel) -> tuple[int, int]:
 
 def _check_parameters(method: str, alpha: float, max_fov_deg: float) -> None:
     if method not in METHODS:
-        raise ConfigError(f"method {method!r} is none of {', '.join(METHODS)}: take one of them")
+        raise ConfigError(
+            f"method {method!r} is none of {', '.join(METHODS)}",
+            value=method,
+            limit=METHODS,
+            remedy="use one of them",
+            settings=("method",),
+        )
     if not 0 <= alpha <= 1:
-        raise ConfigError(f"alpha = {alpha:g} is outside 0..1: 0 shows valid pixels only, 1 all raw pixels")
+        raise ConfigError(
+            f"alpha = {alpha:g} is outside 0..1",
+            value=alpha,
+            limit=(0, 1),
+            remedy="use 0 for valid pixels only, 1 for all raw pixels",
+            settings=("alpha",),
+        )
     if not 10 <= max_fov_deg <= 170:
-        raise ConfigError(f"max_fov_deg = {max_fov_deg:g} is outside 10..170: a flat image shows less than 180 degrees")
+        raise ConfigError(
+            f"max_fov_deg = {max_fov_deg:g} is outside 10..170",
+            value=max_fov_deg,
+            limit=(10, 170),
+            remedy="use a smaller angle, a perspective image shows less than 180 degrees",
+            settings=("max_fov_deg",),
+        )
 
 
 def _check_direction(e1: F64) -> None:
     tilt_deg = math.degrees(math.acos(np.clip(e1[0], -1, 1)))
     if tilt_deg <= MAX_TILT_DEG:
         return
-    where = f"the right camera is {tilt_deg:.1f} degrees off the left one's x axis, limit {MAX_TILT_DEG:g}"
+    settings: tuple[str, ...] = ()
     if tilt_deg >= 180 - MAX_TILT_DEG:
-        raise CalibrationError(f"{where}: left and right are swapped, exchange them")
-    if abs(e1[2]) > abs(e1[1]):
-        raise CalibrationError(
-            f"{where}, ahead or behind: its epipole is in the image or near to it, and no turn makes the rows agree: "
-            "mount the cameras side by side"
-        )
+        problem, remedy, settings = "left and right are swapped", "exchange them", ("left", "right")
+    elif abs(e1[2]) > abs(e1[1]):
+        problem = "it is ahead or behind, so that an epipole is in or near an image and no rotation makes rows agree"
+        remedy = "mount the cameras side by side"
+    else:
+        problem = "it is above or below"
+        remedy = "rotate the images by 90 degrees and calibrate them as left and right"
     raise CalibrationError(
-        f"{where}, above or below: rotate the images by 90 degrees and calibrate them as left and right"
+        f"the right camera is {tilt_deg:.1f} degrees off the left camera's x axis, limit {MAX_TILT_DEG:g}: {problem}",
+        value=tilt_deg,
+        limit=MAX_TILT_DEG,
+        remedy=remedy,
+        settings=settings,
     )

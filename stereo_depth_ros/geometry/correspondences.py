@@ -1,26 +1,24 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points of two images that show the same place, found without knowing anything of the cameras."""
+"""Correspondences of two images: matched points, and SIFT matching of raw images from unknown cameras."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import ImageError
-from stereo_depth_ros.core.types import F32, F64, U8
-from stereo_depth_ros.matching.features.matcher import SIFT_SHIFT_PX
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.geometry.rays import undistort_points
+from stereo_depth_ros.matching.features.corners import detect_sift, mutual_best, squared_distances
 
-__all__ = ["Correspondences", "match_features", "undistort_points"]
+__all__ = ["Correspondences", "match_features"]
 
-_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-_CONTRAST = 0.02  # half of OpenCV's: dim rooms have few corners above that
-_FAR_PX = 1e5  # OpenCV puts points that no pinhole camera can see at +-1e6
+_CONTRAST = 0.02  # half of OpenCV's default, for dim scenes
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,95 +38,57 @@ class Correspondences:
     def __post_init__(self) -> None:
         if self.left_px.shape != self.right_px.shape or self.left_px.shape[1:] != (2,):
             raise ImageError(
-                f"left and right points have shapes {self.left_px.shape} and {self.right_px.shape}, "
-                "both are (N, 2): give each left point its right point"
+                f"left and right points have shapes {self.left_px.shape} and {self.right_px.shape}, not both (N, 2)",
+                value=(self.left_px.shape, self.right_px.shape),
+                remedy="pass the right point of each left point",
             )
 
     def __len__(self) -> int:
         return len(self.left_px)
 
     def take(self, chosen: npt.NDArray[Any]) -> Correspondences:
-        """Those of these indices, or of this mask."""
+        """The correspondences of these indices, or of this mask."""
         return Correspondences(self.left_px[chosen], self.right_px[chosen])
 
     def undistorted(self, left: CameraModel, right: CameraModel) -> Correspondences:
-        """Where cameras with the same K and no distortion would see the points; without those that they cannot see."""
+        """Points in cameras with the same K and no distortion; points outside their field of view are removed."""
         moved = Correspondences(undistort_points(self.left_px, left), undistort_points(self.right_px, right))
         return moved.take(np.flatnonzero(np.isfinite(moved.left_px + moved.right_px).all(axis=1)))
 
 
-def undistort_points(points_px: F64, camera: CameraModel) -> F64:
-    """Where a camera with the same K and no distortion sees the points of a raw image.
-
-    Args:
-        points_px: float64 (N, 2), px.
-
-    Returns:
-        float64 (N, 2), px; NaN where a camera without distortion does not see the point (90 degrees off the axis).
-    """
-    if not len(points_px) or not camera.D.any():
-        return points_px.copy()
-    pixels = np.ascontiguousarray(points_px[:, None])
-    if camera.distortion_model == "equidistant":
-        moved = cv2.fisheye.undistortPoints(pixels, camera.K, camera.D, P=camera.K, criteria=_CRITERIA)
-    elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-        moved = cv2.undistortPointsIter(pixels, camera.K, camera.D, np.identity(3), camera.K, _CRITERIA)
-    else:
-        moved = cv2.undistortPoints(pixels, camera.K, camera.D, None, np.identity(3), camera.K, _CRITERIA)
-    points: F64 = moved[:, 0].copy()
-    points[np.abs(points).max(axis=1) > _FAR_PX] = np.nan
-    return points
-
-
 def match_features(left: U8, right: U8, max_features: int = 4000, ratio: float = 0.75) -> Correspondences:
-    """SIFT features (Lowe 2004) of two images, matched where each is the other's best by far.
+    """Match SIFT features (Lowe 2004) of two images by mutual best distance and the ratio test.
 
-    No row is assumed, no disparity, no size in common: it works on raw images. Wrong matches remain (some percent).
+    Works on raw images of any size: no rectification is assumed. Some percent of the matches are wrong.
 
     Args:
         left, right: uint8 (H, W), gray.
-        max_features: of each image, the strongest.
-        ratio: the best candidate's distance is at most this share of the second best one's.
+        max_features: number of strongest features of each image.
+        ratio: largest ratio of the distances of the best and the second best candidate.
 
     Returns:
-        The matches in a fixed order, the same for the same images; none where the images show nothing in common.
+        The matches in a fixed order, the same for the same images; none where the images have nothing in common.
 
     Raises:
         ImageError: not gray uint8 images.
     """
-    left_px, left_descriptors = _features(left, "left", max_features)
-    right_px, right_descriptors = _features(right, "right", max_features)
+    _check_gray(left, "left")
+    _check_gray(right, "right")
+    left_px, left_descriptors = detect_sift(left, max_features, _CONTRAST)
+    right_px, right_descriptors = detect_sift(right, max_features, _CONTRAST)
     if min(len(left_px), len(right_px)) < 2:
         return Correspondences(np.empty((0, 2)), np.empty((0, 2)))
-    i, j = _mutual_best(_squared_distances(left_descriptors, right_descriptors), ratio)
-    # SIFT tells a corner once for each of its orientations
+    i, j = mutual_best(squared_distances(left_descriptors, right_descriptors), ratio**2)
+    # SIFT gives a corner once for each of its orientations
     single = np.unique(np.hstack((left_px[i], right_px[j])), axis=0)
     return Correspondences(single[:, :2], single[:, 2:])
 
 
-def _features(image: U8, label: str, count: int) -> tuple[F64, F32]:
-    """Positions, float64 (N, 2) px, and descriptors, float32 (N, 128) of whole numbers."""
+def _check_gray(image: U8, side: str) -> None:
     if image.dtype != np.uint8 or image.ndim != 2 or not image.size:
         raise ImageError(
-            f"{label} image is {image.dtype} of shape {image.shape}, features take uint8 (H, W): convert it to gray"
+            f"{image.dtype} of shape {image.shape}, not uint8 (H, W)",
+            subject=f"{side} image",
+            value=(image.dtype, image.shape),
+            remedy="convert it to gray",
         )
-    corners, words = cv2.SIFT.create(count, contrastThreshold=_CONTRAST).detectAndCompute(image, None)
-    if not corners:
-        return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    return np.array(cv2.KeyPoint.convert(corners), np.float64) - SIFT_SHIFT_PX, words
-
-
-def _squared_distances(left: F32, right: F32) -> F32:
-    """float32 (N, M); without rounding, since all sums of these whole numbers are below 2^24."""
-    norms = np.einsum("ij,ij->i", left, left)[:, None] + np.einsum("ij,ij->i", right, right)
-    squared: F32 = norms - 2 * (left @ right.T)
-    return squared
-
-
-def _mutual_best(squared: F32, ratio: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Pairs of a row and a column of which each is the other's least, the row's by the ratio."""
-    best = squared.argmin(axis=1)
-    rows = np.arange(len(best))
-    least, second = np.partition(squared, 1, axis=1)[:, :2].T
-    chosen = (squared.argmin(axis=0)[best] == rows) & (least < ratio**2 * second)
-    return rows[chosen], best[chosen]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig can see: nearest and farthest distance, depth error over the distance, and the search that it takes."""
+"""Depth range of a rig: nearest and farthest depth, depth errors by depth, and the disparity search for a range."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ __all__ = [
     "DepthError",
     "DepthRange",
     "Precision",
+    "default_nearest_m",
     "depth_errors",
     "depth_range",
     "recommended_search",
-    "usual_nearest",
-    "whole_depths",
+    "rounded_depths_m",
 ]
 
-_USUAL_SHARE = 1 / 8  # of the width of the image: disparity of the nearest point where nobody says more
+_DEFAULT_SHARE = 1 / 8  # of the image width: default disparity of the nearest point
 _MIN_DEPTHS, _MAX_DEPTHS = 5, 200  # of a table
-_ROUNDING_PX = 1e-6  # a disparity so little beside a whole number is that number
+_ROUNDING_PX = 1e-6  # disparities this near to a whole number are rounded to it
 
 
 @dataclass(frozen=True)
 class Precision:
-    """How exact disparities are, and how exact depths shall be.
+    """Precision of disparities, and the precision required of depths.
 
     Attributes:
-        step_px: smallest difference between two disparities that the matcher can tell.
+        step_px: smallest difference between two disparities of the matcher.
         sigma_px: standard deviation of a disparity.
-        max_error: standard deviation of a depth, as a share of it, that is still of use; above 0.
+        max_error: largest acceptable standard deviation of a depth, as a share of the depth, 0..1.
 
     Raises:
-        ConfigError: a value that is not above 0.
+        ConfigError: a value that is not above 0, or ``max_error`` above 1.
     """
 
     step_px: float
@@ -52,23 +52,32 @@ class Precision:
         for name in ("step_px", "sigma_px", "max_error"):
             value = getattr(self, name)
             if not 0 < value < math.inf:
-                raise ConfigError(f"{name} = {value:g} is not above 0: without errors every distance is seen")
+                raise ConfigError(
+                    f"{name} = {value:g} is not above 0",
+                    value=value,
+                    limit=0.0,
+                    remedy="use a finite value above 0",
+                    settings=(name,),
+                )
         if self.max_error > 1:
             raise ConfigError(
-                f"an error of {100 * self.max_error:g} % of the depth is asked for, limit 100 %: beyond it a depth "
-                "says nothing"
+                f"the depth error {100 * self.max_error:g} % is above 100 %",
+                value=self.max_error,
+                limit=1.0,
+                remedy="use a smaller error",
+                settings=("max_error",),
             )
 
 
 @dataclass(frozen=True)
 class DepthRange:
-    """Where a rig sees depth, meters along Z of the left rectified camera.
+    """Depth range of a rig, meters along Z of the left rectified camera.
 
     Attributes:
-        baseline_m: distance of the two cameras.
+        baseline_m: distance between the two cameras.
         nearest_m: depth of the largest disparity searched.
-        farthest_m: depth beyond which the depth is less exact than asked for.
-        search_end_m: depth of the smallest disparity searched; infinite where infinity is searched.
+        farthest_m: depth beyond which the depth error exceeds the acceptable one.
+        search_end_m: depth of the smallest disparity searched; infinite where the search includes infinity.
     """
 
     baseline_m: float
@@ -79,15 +88,15 @@ class DepthRange:
 
 @dataclass(frozen=True)
 class DepthError:
-    """What a rig tells of a surface at one depth.
+    """Depth error and overlap of a rig at one depth.
 
     Attributes:
         depth_m: Z in the left rectified camera.
         disparity_px: x_left - x_right.
-        step_m: from this depth to that of the next smaller disparity; infinite where that is infinity.
+        step_m: from this depth to that of the next smaller disparity; infinite where that is at infinity.
         sigma_m: standard deviation of the depth.
-        overlap: share of the left rectified image that the right one shows too, 0..1.
-        common_width_m: of what both images show.
+        overlap: share of the left rectified image that is visible in the right one too, 0..1.
+        common_width_m: width of the overlap.
     """
 
     depth_m: float
@@ -101,21 +110,24 @@ class DepthError:
 def depth_range(
     rig: StereoRig, search: MatchingConfig, precision: Precision, baseline_factor: float = 1.0
 ) -> DepthRange:
-    """From what depth to what depth a rig sees, or one with so many times its baseline and all else as it is.
+    """Depth range of a rig, or of the same rig with its baseline multiplied by ``baseline_factor``.
 
-    Nearest: Z = f B / (d_max - doffs). Farthest: sigma_Z = Z^2 / (f B) sigma_d reaches the share of Z that is allowed,
+    Nearest: Z = f B / (d_max - doffs). Farthest: sigma_Z = Z^2 / (f B) sigma_d reaches the acceptable share of Z,
     Z = max_error f B / sigma_d.
 
     Raises:
-        ConfigError: nothing that is searched lies in front of the cameras.
+        ConfigError: no disparity searched is in front of the cameras.
     """
     baseline_m = baseline_factor * rig.baseline_m
     f_baseline = rig.f_px * baseline_m
     nearest_px = search.max_disparity - rig.doffs_px
     if nearest_px <= 0:
         raise ConfigError(
-            f"the search ends at {search.max_disparity} px, infinity is at {rig.doffs_px:.2f} px with this rig, and "
-            "what is nearer has more: raise min_disparity or disparity_range"
+            f"the search ends at {search.max_disparity} px, below the disparity of infinity, {rig.doffs_px:.2f} px",
+            value=search.max_disparity,
+            limit=rig.doffs_px,
+            remedy="raise min_disparity or disparity_range",
+            settings=("min_disparity", "disparity_range"),
         )
     last_px = search.min_disparity - rig.doffs_px
     return DepthRange(
@@ -129,13 +141,13 @@ def depth_range(
 def depth_errors(
     rig: StereoRig, depths_m: list[float], precision: Precision, baseline_factor: float = 1.0
 ) -> list[DepthError]:
-    """The errors of a rig at these depths, above 0, or of one with so many times its baseline."""
+    """Errors of a rig at these depths, above 0, or of the same rig with its baseline multiplied."""
     t = Triangulation.from_rig(rig)
     t = replace(t, baseline_m=baseline_factor * t.baseline_m)
     sigmas_m = depth_sigma(np.array([depths_m], np.float32), t, precision.sigma_px)[0].tolist()
     errors = []
     for depth_m, sigma_m in zip(depths_m, sigmas_m, strict=True):
-        parallax_px = t.f_px * t.baseline_m / depth_m  # the disparity less that of infinity
+        parallax_px = t.f_px * t.baseline_m / depth_m  # the disparity minus that of infinity
         residual_px = parallax_px - precision.step_px
         disparity_px = parallax_px + t.doffs_px
         overlap = max(0.0, 1 - abs(disparity_px) / rig.width)
@@ -153,22 +165,32 @@ def depth_errors(
 
 
 def recommended_search(rig: StereoRig, nearest_m: float) -> MatchingConfig:
-    """The smallest search from a distance to infinity that the parameters can express, all else at its default.
+    """The smallest disparity search from a distance to infinity; all other parameters have their defaults.
 
-    It begins at the disparity of infinity, and one whole disparity is beyond that of the nearest point, so that there
-    is a neighbor to interpolate with. disparity_range is a multiple of 16, at least 32.
+    It starts at the disparity of infinity and ends one whole disparity above that of the nearest point, for sub-pixel
+    interpolation. disparity_range is a multiple of 16, at least 32.
 
     Raises:
-        ConfigError: the two images have nothing in common at this distance, or a value that the parameters refuse.
+        ConfigError: the images have no overlap at this distance, or a parameter would be out of range.
     """
     if not 0 < nearest_m < math.inf:
-        raise ConfigError(f"nearest distance {nearest_m:g} m is not above 0: give meters")
+        raise ConfigError(
+            f"nearest distance {nearest_m:g} m is not above 0",
+            value=nearest_m,
+            limit=0.0,
+            remedy="give meters",
+            settings=("nearest",),
+        )
     nearest_px = rig.f_px * rig.baseline_m / nearest_m + rig.doffs_px
     if nearest_px >= rig.width:
         limit_m = rig.f_px * rig.baseline_m / (rig.width - rig.doffs_px)
         raise ConfigError(
             f"at {nearest_m:g} m the disparity is {nearest_px:.0f} px and the images are {rig.width} px wide: they "
-            f"have something in common beyond {limit_m:.3g} m only, take a larger distance or a smaller baseline"
+            f"overlap only beyond {limit_m:.3g} m",
+            value=nearest_m,
+            limit=limit_m,
+            remedy="use a larger distance or a smaller baseline",
+            settings=("nearest",),
         )
     first = math.floor(rig.doffs_px + _ROUNDING_PX)
     last = math.floor(nearest_px + _ROUNDING_PX) + 1
@@ -176,15 +198,15 @@ def recommended_search(rig: StereoRig, nearest_m: float) -> MatchingConfig:
     return MatchingConfig(min_disparity=first, num_disparities=count)
 
 
-def usual_nearest(rig: StereoRig) -> float:
-    """The distance, meters, at which the disparity is an eighth of the image's width above that of infinity."""
-    return rig.f_px * rig.baseline_m / (_USUAL_SHARE * rig.width)
+def default_nearest_m(rig: StereoRig) -> float:
+    """The distance, meters, at which the disparity is an eighth of the image width above that of infinity."""
+    return rig.f_px * rig.baseline_m / (_DEFAULT_SHARE * rig.width)
 
 
-def whole_depths(first_m: float, last_m: float) -> list[float]:
-    """Each whole meter from the first to the last; tenths where those are few, tens where they are many.
+def rounded_depths_m(first_m: float, last_m: float) -> list[float]:
+    """Multiples of a step from the first to the last depth; the step is 1 m where that gives 5 to 200 depths.
 
-    The step is 1, 2 or 5 times a power of ten: 1 m where that makes 5 to 200 depths.
+    Otherwise it is another one of 1, 2 or 5 times a power of ten.
     """
     length = last_m - first_m
     steps = [factor * 10.0**power for power in range(-3, 7) for factor in (1, 2, 5)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The normalized eight-point algorithm, and which points say nothing about the fundamental matrix."""
+"""The normalized eight-point algorithm, and checks for degenerate point configurations."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from stereo_depth_ros.geometry.epipolar import homogeneous
 __all__ = ["check_matches", "eight_point", "enforce_rank_2", "epipolar_equations", "unit_scale"]
 
 MIN_POINTS = 8
-MIN_WIDTH = 0.01  # of the cloud of points, as a share of its length; below that it is a line
-_REMEDY = "take matches that are spread over both images and over several depths, from cameras in two places"
+MIN_WIDTH = 0.01  # of the point cloud, as a share of its length; below that it is collinear
+_REMEDY = "use matches that are spread over both images and several depths, from cameras at two positions"
 
 
 def eight_point(left: F64, right: F64) -> F64:
-    """The fundamental matrix of matches without wrong ones, by least squares (Hartley 1997).
+    """The fundamental matrix of matches without outliers, by linear least squares (Hartley 1997).
 
-    Both clouds of points are moved to their mean and scaled to the root mean square distance sqrt(2); the solution is
-    replaced by the nearest matrix of rank 2 before that is undone. Of points in camera coordinates it gives the
-    essential matrix, its two singular values not yet equal.
+    Points are normalized to mean 0 and root mean square distance sqrt(2), and the solution is replaced by the nearest
+    matrix of rank 2 before the normalization is undone. Points in camera coordinates give the essential matrix, its two
+    singular values not yet equal.
 
     Args:
         left, right: float64 (N, 2), N >= 8, px.
@@ -33,12 +33,12 @@ def eight_point(left: F64, right: F64) -> F64:
 
     Raises:
         CalibrationError: fewer than eight different matches, points that are not finite, or points that are
-            coincident, collinear, or so near to one plane (or seen from one place) that they allow other matrices.
+            coincident, collinear, or so near to one plane (or seen from one position) that other matrices fit too.
     """
     check_matches(left, right)
     to_left, to_right = _normalization(left), _normalization(right)
     x_left, x_right = homogeneous(left) @ to_left.T, homogeneous(right) @ to_right.T
-    # Eight equations leave the ninth direction out unless all are asked for; of many, N x N values are not needed
+    # Eight equations give the ninth direction only with full matrices; for many they would be N x N
     _, singular, Vt = np.linalg.svd(epipolar_equations(x_left, x_right), full_matrices=len(left) == MIN_POINTS)
     _check_parallax(x_left, x_right)
     _check_unique(singular, len(left))
@@ -46,13 +46,13 @@ def eight_point(left: F64, right: F64) -> F64:
 
 
 def epipolar_equations(x_left: F64, x_right: F64) -> F64:
-    """float64 (..., N, 9): the rows that vanish against the nine values of F, from homogeneous float64 (..., N, 3)."""
+    """float64 (..., N, 9): rows whose product with the nine values of F is 0, from homogeneous float64 (..., N, 3)."""
     products: F64 = x_right[..., :, None] * x_left[..., None, :]
     return products.reshape(*products.shape[:-2], 9)
 
 
 def enforce_rank_2(F: F64) -> F64:
-    """float64 (..., 3, 3): the nearest matrices of rank 2, by Frobenius norm."""
+    """float64 (..., 3, 3): the nearest matrices of rank 2 in the Frobenius norm."""
     U, singular, Vt = np.linalg.svd(F)
     singular[..., 2] = 0
     nearest: F64 = (U * singular[..., None, :]) @ Vt
@@ -70,14 +70,19 @@ def check_matches(left: F64, right: F64) -> None:
     """Raise CalibrationError where points, float64 (N, 2) each, are too few, not finite, coincident or collinear."""
     if left.shape != right.shape or left.shape[1:] != (2,):
         raise CalibrationError(
-            f"left and right points have shapes {left.shape} and {right.shape}, both are (N, 2): give pairs of points"
+            f"left and right points have shapes {left.shape} and {right.shape}, not both (N, 2)",
+            value=(left.shape, right.shape),
+            remedy="pass pairs of points",
         )
     if not np.isfinite(left).all() or not np.isfinite(right).all():
-        raise CalibrationError("points that are not finite among the matches: leave them out")
+        raise CalibrationError("some of the matches have points that are not finite", remedy="remove them")
     different = len(np.unique(np.hstack((left, right)), axis=0))
     if different < MIN_POINTS:
         raise CalibrationError(
-            f"{different} different matches of {len(left)}, the fundamental matrix takes {MIN_POINTS}: {_REMEDY}"
+            f"{different} different matches of {len(left)}, the fundamental matrix needs {MIN_POINTS}",
+            value=different,
+            limit=MIN_POINTS,
+            remedy=_REMEDY,
         )
     for points, label in ((left, "left"), (right, "right")):
         _check_spread(points, label)
@@ -85,13 +90,21 @@ def check_matches(left: F64, right: F64) -> None:
 
 def _check_spread(points: F64, label: str) -> None:
     length, width = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
-    # Rounding of coordinates alone gives coincident points a length
+    # Rounding of the coordinates gives coincident points a length above 0
     if length <= 1e-9 * np.abs(points).max():
-        raise CalibrationError(f"the {len(points)} {label} points are coincident: {_REMEDY}")
+        raise CalibrationError(
+            f"the {len(points)} {label} points are coincident",
+            value=float(length),
+            limit=float(1e-9 * np.abs(points).max()),
+            remedy=_REMEDY,
+        )
     if width < MIN_WIDTH * length:
         raise CalibrationError(
             f"the {len(points)} {label} points are collinear: they spread {width:.3g} across their line and "
-            f"{length:.3g} along it, limit {MIN_WIDTH:g} of that: {_REMEDY}"
+            f"{length:.3g} along it, limit {MIN_WIDTH:g} of that",
+            value=float(width / length),
+            limit=MIN_WIDTH,
+            remedy=_REMEDY,
         )
 
 
@@ -103,10 +116,10 @@ def _normalization(points: F64) -> F64:
 
 
 def _check_parallax(x_left: F64, x_right: F64) -> None:
-    """Points of one plane, and points seen from one place, are those that a homography maps.
+    """Points of one plane, and points seen from one position, are mapped by a homography.
 
-    Few points do not tell their noise, so that some parallax is asked of them: 1.25 % of the spread of eight points,
-    and the less, the more there are.
+    As few points do not determine their noise, a minimum parallax is required: 1.25 % of the spread of eight points,
+    and less for more points.
     """
     H = cv2.findHomography(x_left[:, :2], x_right[:, :2], 0)[0]
     if H is None:
@@ -116,23 +129,29 @@ def _check_parallax(x_left: F64, x_right: F64) -> None:
     limit = 0.1 / len(x_left)
     if parallax < limit:
         raise CalibrationError(
-            f"one homography maps the {len(x_left)} left points to the right ones, all but {parallax:.2g} of their "
-            f"spread, limit {limit:.2g}: they lie in one plane, or the camera only turned: {_REMEDY}"
+            f"one homography maps the {len(x_left)} left points to the right ones within {parallax:.2g} of their "
+            f"spread, limit {limit:.2g}: they are coplanar, or the camera only rotated",
+            value=float(parallax),
+            limit=limit,
+            remedy=_REMEDY,
         )
 
 
 def _check_unique(singular: F64, count: int) -> None:
-    """The second best solution must be clearly worse than the best one; by how much, noise decides when points are few.
+    """The second best solution must fit clearly worse than the best one; the limit is larger for few points.
 
     Args:
-        singular: float64 (8,) for eight points, else (9,): how badly the best nine solutions fit, worst first.
+        singular: float64 (8,) for eight points, else (9,): singular values of the equations, in descending order.
     """
     more = count - MIN_POINTS
     best = max(singular[8] if more else 0.0, 1e-8 * singular[0])  # below that is rounding
     gap, limit = singular[7] / best, 2 + 20 / max(more, 2)
     if gap <= limit:
         raise CalibrationError(
-            f"the {count} matches allow several fundamental matrices: the second best fits {gap:.3g} times as badly as "
-            f"the best, limit {limit:.3g}: points of one plane or line, a camera that only turned, or noise above the "
-            f"parallax: {_REMEDY}"
+            f"the {count} matches allow several fundamental matrices: the residual of the second best is {gap:.3g} "
+            f"times that of the best, limit {limit:.3g}: coplanar or collinear points, a camera that only rotated, or "
+            "noise above the parallax",
+            value=float(gap),
+            limit=limit,
+            remedy=_REMEDY,
         )

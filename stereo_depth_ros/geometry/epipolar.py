@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Epipolar geometry: fundamental matrices of known cameras, epipoles, epipolar lines and distances from them.
 
-Everything holds in pixels with a fundamental matrix F, and in camera coordinates (x / z, y / z) with an essential
-matrix E in its place. x_right^T F x_left = 0; the transpose exchanges the cameras.
+All functions apply to pixels with a fundamental matrix F, and to camera coordinates (x / z, y / z) with an essential
+matrix E. x_right^T F x_left = 0; the transpose exchanges the cameras.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ def fundamental_from_pose(pose: RelativePose, K_left: F64, K_right: F64) -> F64:
 
 
 def epipoles(F: F64) -> tuple[F64, F64]:
-    """Where each camera sees the other one's center, left and right: F e_left = 0 and F^T e_right = 0.
+    """Left and right epipole, the projection of the other camera's center: F e_left = 0 and F^T e_right = 0.
 
     Returns:
-        Two float64 (3,), homogeneous, of length 1, the last value not negative: (x, y, w) stands for (x / w, y / w).
-        w is 0 for an epipole at infinity, as those of a rectified pair are.
+        Two float64 (3,), homogeneous, of length 1, the last value not negative: (x, y, w) is the point (x / w, y / w).
+        w is 0 for an epipole at infinity, as in a rectified pair.
     """
     U, _, Vt = np.linalg.svd(F)
     left, right = (e * (1.0 if e[2] >= 0 else -1.0) for e in (Vt[2], U[:, 2]))
@@ -55,7 +55,7 @@ def epipoles(F: F64) -> tuple[F64, F64]:
 
 
 def epipolar_lines(F: F64, left: F64) -> F64:
-    """The line of the right image on which the right point of each left point lies; with F.T the other way round.
+    """Epipolar lines of left points in the right image; with F.T, of right points in the left image.
 
     Args:
         left: float64 (N, 2).
@@ -65,14 +65,14 @@ def epipolar_lines(F: F64, left: F64) -> F64:
     """
     lines = homogeneous(left) @ F.T
     norm = np.hypot(lines[:, 0], lines[:, 1])
-    # Rounding leaves a little of the line of the epipole
-    seen = norm > 1e-14 * np.linalg.norm(F) * np.linalg.norm(homogeneous(left), axis=1)
-    unit: F64 = lines / np.where(seen, norm, np.nan)[:, None]
+    # The line of the epipole is 0 up to rounding
+    defined = norm > 1e-14 * np.linalg.norm(F) * np.linalg.norm(homogeneous(left), axis=1)
+    unit: F64 = lines / np.where(defined, norm, np.nan)[:, None]
     return unit
 
 
 def symmetric_epipolar_distance(F: F64, left: F64, right: F64) -> F64:
-    """float64 (N,): mean of the distances of both points, float64 (N, 2) each, from each other's epipolar line.
+    """float64 (N,): mean distance of both points, float64 (N, 2) each, from the epipolar line of the other one.
 
     In the unit of the points; NaN where one of the points is an epipole.
     """
@@ -83,15 +83,15 @@ def symmetric_epipolar_distance(F: F64, left: F64, right: F64) -> F64:
 
 
 def sampson_distance(F: F64, left: F64, right: F64) -> F64:
-    """float64 (N,): how far both points together are from a pair that F allows, to first order.
+    """float64 (N,): Sampson distance of both points, float64 (N, 2) each, in the unit of the points.
 
-    That is the root of the sum of squares of both displacements (Sampson 1982; Hartley and Zisserman 2004, eq. 11.9),
-    in the unit of the points.
+    The first-order geometric error: the root of the sum of squared displacements of both points to the nearest match
+    that satisfies F (Sampson 1982; Hartley and Zisserman 2004, eq. 11.9).
     """
     x_left, x_right = homogeneous(left), homogeneous(right)
     in_right, in_left = x_left @ F.T, x_right @ F
     slope = np.hypot(np.hypot(*in_right[:, :2].T), np.hypot(*in_left[:, :2].T))
-    # Two epipoles fit together whatever the rest: 0 / tiny is 0
+    # For a match of two epipoles 0 / tiny is 0
     distance: F64 = np.abs(np.einsum("ij,ij->i", x_right, in_right)) / np.maximum(slope, np.finfo(np.float64).tiny)
     return distance
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The essential matrix of cameras with known intrinsics, and the pose that it stands for."""
+"""The essential matrix of cameras with known intrinsics, and the relative pose that it represents."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ __all__ = [
     "pose_from_essential",
 ]
 
-SAMPLES, SAMPLE = 8, 40  # of matches, from which the search for the lowest minimum starts
-MIN_SHARE_IN_FRONT = 0.7  # of the points, for the pose that has most of them in front of both cameras
+SAMPLES, SAMPLE = 8, 40  # number and size of the samples of matches that give starting points of the refinement
+MIN_SHARE_IN_FRONT = 0.7  # of the points, in front of both cameras for the best of the four poses
 
 
 @dataclass(frozen=True, eq=False)
 class EssentialEstimate:
-    """What matches tell about two cameras whose intrinsics are known.
+    """Essential matrix estimated from matches.
 
     Attributes:
         E: float64 (3, 3), x_right^T E x_left = 0 in camera coordinates; singular values 1, 1 and 0.
-        pose: the right camera as the left one sees it, up to scale.
+        pose: of the right camera relative to the left one, up to scale.
         inliers: bool (N,), the matches whose Sampson distance is below the threshold.
         sampson_rms_px: root mean square of the Sampson distances of the inliers, px.
     """
@@ -67,15 +67,20 @@ def equal_singular_values(E: F64) -> F64:
     """float64 (3, 3): the nearest essential matrix, scaled to singular values 1, 1 and 0 (Hartley 1997).
 
     Raises:
-        CalibrationError: not finite, or of rank below 2: nothing is near it.
+        CalibrationError: not 3 x 3, not finite, or of rank below 2.
     """
     if E.shape != (3, 3) or not np.isfinite(E).all():
-        raise CalibrationError(f"{E.tolist()} is no essential matrix, it is 3 x 3 and finite: estimate it from matches")
+        raise CalibrationError(
+            f"{E.tolist()} is not an essential matrix, which is 3 x 3 and finite",
+            value=E.tolist(),
+            remedy="estimate it from matches",
+        )
     U, singular, Vt = np.linalg.svd(E)
     if singular[1] <= 1e-6 * singular[0]:
         raise CalibrationError(
-            f"singular values {singular.tolist()} are those of no essential matrix, whose first two are equal: "
-            "estimate it from matches with several depths"
+            f"singular values {singular.tolist()} are not those of an essential matrix, whose first two are equal",
+            value=singular.tolist(),
+            remedy="estimate it from matches with several depths",
         )
     nearest: F64 = (U * [1.0, 1.0, 0.0]) @ Vt
     return nearest
@@ -84,7 +89,7 @@ def equal_singular_values(E: F64) -> F64:
 def estimate_essential(
     left_px: F64, right_px: F64, K_left: F64, K_right: F64, threshold_px: float = 1.0, method: str = "magsac"
 ) -> EssentialEstimate:
-    """The essential matrix that most matches agree on, of least Sampson distance in pixels from them, and its pose.
+    """Estimate the essential matrix of least Sampson distance in pixels from the inliers of matches, and its pose.
 
     Args:
         left_px, right_px: float64 (N, 2), N >= 8, pixels without distortion.
@@ -95,23 +100,26 @@ def estimate_essential(
         ConfigError, CalibrationError: see there, and :func:`pose_from_essential`.
     """
     start = estimate_fundamental(left_px, right_px, threshold_px, method)
-    sight = _Sight(left_px, right_px, K_left, K_right)
+    matches = _CalibratedMatches(left_px, right_px, K_left, K_right)
     noise_px = robust_scale(sampson_distance(start.F, left_px, right_px)[start.inliers])
-    E = sight.lowest(essential_from_fundamental(start.F, K_left, K_right), start.inliers, noise_px)
-    distances = sight.distances(E)
+    E = matches.best_minimum(essential_from_fundamental(start.F, K_left, K_right), start.inliers, noise_px)
+    distances = matches.distances(E)
     inliers = distances < threshold_px
     if 2 * inliers.sum() < start.inliers.sum():
         raise CalibrationError(
             f"{inliers.sum()} of the {start.inliers.sum()} matches that agree on a fundamental matrix agree on an "
-            "essential one: these are not the intrinsics of the images, or the images are still distorted"
+            "essential matrix, at least half are needed",
+            value=int(inliers.sum()),
+            limit=int(start.inliers.sum()) / 2,
+            remedy="check that these are the intrinsics of the images, and that the images are undistorted",
         )
     rays = camera_coordinates(left_px[inliers], K_left), camera_coordinates(right_px[inliers], K_right)
     pose = pose_from_essential(E, *rays)
     return EssentialEstimate(E, pose, inliers, float(np.sqrt(np.mean(distances[inliers] ** 2))))
 
 
-class _Sight:
-    """Matches of two cameras whose intrinsics are known."""
+class _CalibratedMatches:
+    """Matches of two cameras with known intrinsics."""
 
     def __init__(self, left_px: F64, right_px: F64, K_left: F64, K_right: F64) -> None:
         self._left_px, self._right_px, self._K = left_px, right_px, (K_left, K_right)
@@ -120,11 +128,11 @@ class _Sight:
         """float64 (N,), Sampson distances, px."""
         return sampson_distance(fundamental_from_essential(E, *self._K), self._left_px, self._right_px)
 
-    def lowest(self, E: F64, chosen: npt.NDArray[np.bool_], scale_px: float) -> F64:
-        """The lowest of the minima near E of the robust cost, of this scale, of the chosen matches.
+    def best_minimum(self, E: F64, chosen: npt.NDArray[np.bool_], scale_px: float) -> F64:
+        """The lowest local minimum near E of the robust cost of the chosen matches, with this scale.
 
-        A sideways shift looks nearly like a turn, so that a single wrong match far from the others makes a minimum of
-        its own. Small samples of the matches, most of them without it, give the starts from which the others are found.
+        As a sideways translation resembles a rotation, a single distant outlier can cause another local minimum. Small
+        samples of the matches, most of them without the outlier, give the starting points.
         """
         indices, rng = np.flatnonzero(chosen), np.random.default_rng(0)
         samples = [rng.choice(indices, min(SAMPLE, len(indices)), replace=False) for _ in range(SAMPLES)]
@@ -137,20 +145,20 @@ class _Sight:
 
 
 def pose_from_essential(E: F64, left_norm: F64, right_norm: F64) -> RelativePose:
-    """The one of the four poses of an essential matrix that has the points in front of both cameras.
+    """The one of the four poses of an essential matrix with the points in front of both cameras.
 
     (Longuet-Higgins 1981; Hartley and Zisserman 2004, section 9.6.)
 
     Args:
-        E: float64 (3, 3); its sign and scale do not matter.
-        left_norm, right_norm: float64 (N, 2), matches in camera coordinates (x / z, y / z), without wrong ones.
+        E: float64 (3, 3), of any sign and scale.
+        left_norm, right_norm: float64 (N, 2), matches in camera coordinates (x / z, y / z), without outliers.
 
     Returns:
         A pose up to scale: t has length 1.
 
     Raises:
-        CalibrationError: no essential matrix, or no pose with 70 % of the points in front of both cameras: few points,
-            points that are far away beside the baseline, or wrong matches.
+        CalibrationError: not an essential matrix, or no pose with 70 % of the points in front of both cameras: few
+            points, points that are distant compared to the baseline, or wrong matches.
     """
     U, _, Vt = np.linalg.svd(equal_singular_values(E))
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -160,18 +168,20 @@ def pose_from_essential(E: F64, left_norm: F64, right_norm: F64) -> RelativePose
     best = int(np.argmax(in_front))
     if not in_front[best] > MIN_SHARE_IN_FRONT * len(left_norm):
         raise CalibrationError(
-            f"cheirality is not decided: the four poses have {', '.join(map(str, in_front))} of {len(left_norm)} "
-            f"points in front of both cameras, it takes more than {100 * MIN_SHARE_IN_FRONT:.0f} %: take right matches "
-            "of points whose parallax is above their noise"
+            f"cheirality is ambiguous: the four poses have {', '.join(map(str, in_front))} of {len(left_norm)} points "
+            f"in front of both cameras, more than {100 * MIN_SHARE_IN_FRONT:.0f} % are needed",
+            value=in_front,
+            limit=MIN_SHARE_IN_FRONT * len(left_norm),
+            remedy="use correct matches of points whose parallax is above their noise",
         )
     return poses[best]
 
 
 def _in_front(pose: RelativePose, left: F64, right: F64) -> int:
-    """Number of points in front of both cameras where the rays, float64 (N, 3), come nearest; beside infinity none."""
-    turned = left @ pose.R.T
-    # depth_right right = depth_left turned + t, once crossed with each of the rays; only the signs are needed
-    normal = np.cross(right, turned)
+    """Number of points in front of both cameras, from rays, float64 (N, 3); points at infinity do not count."""
+    rotated = left @ pose.R.T
+    # depth_right right = depth_left rotated + t, crossed with each of the rays; only the signs are needed
+    normal = np.cross(right, rotated)
     depth_left = -np.einsum("ij,ij->i", np.cross(right, pose.t), normal)
-    depth_right = -np.einsum("ij,ij->i", np.cross(turned, pose.t), normal)
+    depth_right = -np.einsum("ij,ij->i", np.cross(rotated, pose.t), normal)
     return int(np.count_nonzero((depth_left > 0) & (depth_right > 0)))

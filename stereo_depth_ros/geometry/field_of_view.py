@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the world a camera sees, lens distortion included."""
+"""Field of view of a camera, lens distortion included."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["FieldOfView", "field_of_view"]
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """Angles from edge to edge through the principal point, and from corner to corner, degrees.
+    """Angles between opposite edges through the principal point, and between opposite corners, degrees.
 
     NaN where the distortion model has no ray for an edge or corner.
     """
@@ -28,10 +28,10 @@ class FieldOfView:
 
 
 def field_of_view(camera: CameraModel) -> FieldOfView:
-    """That of the raw image; of the rectified one for ``camera.rectified()``.
+    """Field of view of the raw image; of the rectified image with ``camera.rectified()``.
 
-    An angle is the sum of those of its two ends from the optical axis, so that it may exceed 180 degrees. The image
-    ends half a pixel beyond the centers of its outermost pixels. The diagonal is the larger one.
+    Each angle is the sum of the angles of its two ends from the optical axis, so that it may exceed 180 degrees. The
+    image ends half a pixel beyond the centers of its outermost pixels. The larger diagonal is used.
     """
     left, top, right, bottom = -0.5, -0.5, camera.width - 0.5, camera.height - 0.5
     cx, cy = camera.K[0, 2], camera.K[1, 2]

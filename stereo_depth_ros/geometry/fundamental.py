@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fundamental matrix of matches some of which are wrong."""
+"""Robust estimation of the fundamental matrix from matches with outliers."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ SAMPLE = 8
 SAMPLES_AT_ONCE = 64
 MAX_SAMPLES = 8192
 CONFIDENCE = 0.999
-ROUNDS = 10  # of refinement and a new choice of inliers; two or three are the rule
-OFF_PLANE = 8  # inliers that no plane explains
-PLANE_THRESHOLDS = 3.0  # a homography's error has two parts, each with the noise of both images
+ROUNDS = 10  # of refinement and reselection of inliers; two or three are usual
+OFF_PLANE = 8  # inliers off the dominant plane
+PLANE_THRESHOLDS = 3.0  # an error of a homography has two components, each with the noise of both images
 
 
 @dataclass(frozen=True, eq=False)
 class FundamentalEstimate:
-    """What matches tell about two cameras of which nothing else is known.
+    """Fundamental matrix estimated from matches.
 
     Attributes:
         F: float64 (3, 3), x_right^T F x_left = 0, rank 2, Frobenius norm 1, the entry of largest size positive.
@@ -53,32 +53,43 @@ class FundamentalEstimate:
 def estimate_fundamental(
     left_px: F64, right_px: F64, threshold_px: float = 1.0, method: str = "magsac"
 ) -> FundamentalEstimate:
-    """The fundamental matrix that most matches agree on, of least Sampson distance from them.
+    """Estimate the fundamental matrix of least Sampson distance from the inliers of matches.
 
     Args:
         left_px, right_px: float64 (N, 2), N >= 8, pixels without distortion.
-        threshold_px: matches with a larger Sampson distance are wrong ones.
-        method: how the wrong ones are found: "magsac", MAGSAC++ of OpenCV (Barath et al. 2020), or "ransac", samples of
-            eight points (Fischler and Bolles 1981), each scored by truncated squares (Torr and Zisserman 2000). Both
-            give the same for the same matches.
+        threshold_px: matches with a larger Sampson distance are outliers.
+        method: "magsac", MAGSAC++ of OpenCV (Barath et al. 2020), or "ransac", samples of eight points (Fischler and
+            Bolles 1981) scored by truncated squares (Torr and Zisserman 2000). Both are deterministic.
 
     Raises:
         ConfigError: an unknown method, or a threshold that is not above 0.
-        CalibrationError: too few matches, points that are coincident, collinear or of one plane, a camera that only
-            turned, or too few that agree.
+        CalibrationError: too few matches or inliers, points that are coincident, collinear or coplanar, or a camera
+            that only rotated.
     """
     if method not in _METHODS:
-        raise ConfigError(f"method {method!r} is none of {', '.join(_METHODS)}: take one of them")
+        raise ConfigError(
+            f"method {method!r} is none of {', '.join(_METHODS)}",
+            value=method,
+            limit=tuple(_METHODS),
+            remedy="use one of them",
+            settings=("method",),
+        )
     if not 0 < threshold_px < math.inf:
-        raise ConfigError(f"threshold_px = {threshold_px:g}, it is above 0 and finite: 1 px suits good matches")
+        raise ConfigError(
+            f"threshold_px = {threshold_px:g} is not above 0 and finite",
+            value=threshold_px,
+            limit=0.0,
+            remedy="use 1 px for good matches",
+            settings=("threshold_px",),
+        )
     check_matches(left_px, right_px)
-    F, inliers = _polished(_METHODS[method](left_px, right_px, threshold_px), left_px, right_px, threshold_px)
+    F, inliers = _refined(_METHODS[method](left_px, right_px, threshold_px), left_px, right_px, threshold_px)
     distances = sampson_distance(F, left_px[inliers], right_px[inliers])
     return FundamentalEstimate(F, inliers, float(np.sqrt(np.mean(distances**2))))
 
 
-def _polished(F: F64, left_px: F64, right_px: F64, threshold_px: float) -> tuple[F64, npt.NDArray[np.bool_]]:
-    """Refinement by the inliers and a new choice of them in turn, until they stay the same."""
+def _refined(F: F64, left_px: F64, right_px: F64, threshold_px: float) -> tuple[F64, npt.NDArray[np.bool_]]:
+    """Alternate refinement and reselection of inliers until the inliers do not change."""
     distances = sampson_distance(F, left_px, right_px)
     inliers = distances < threshold_px
     for _ in range(ROUNDS):
@@ -91,14 +102,14 @@ def _polished(F: F64, left_px: F64, right_px: F64, threshold_px: float) -> tuple
             break
     _check_agreement(left_px, right_px, inliers, threshold_px)
     _check_depths(left_px[inliers], right_px[inliers], threshold_px)
-    eight_point(left_px[inliers], right_px[inliers])  # refuses inliers that leave the matrix open
+    eight_point(left_px[inliers], right_px[inliers])  # raises where the inliers do not determine the matrix
     return unit_scale(F), inliers
 
 
 def _check_agreement(left_px: F64, right_px: F64, inliers: npt.NDArray[np.bool_], threshold_px: float) -> None:
-    """As many inliers would not be expected of random matches (Moisan and Stival 2004, eq. 11).
+    """The number of inliers must be above that of random matches (Moisan and Stival 2004, eq. 11).
 
-    Seven matches always agree; another one does by chance where its point lies in the band about its line.
+    Seven matches always agree; another one agrees by chance where its point is in the band around its epipolar line.
     """
     total, agree = len(inliers), int(inliers.sum())
     extents = [np.ptp(points, axis=0) for points in (left_px, right_px)]
@@ -107,8 +118,11 @@ def _check_agreement(left_px: F64, right_px: F64, inliers: npt.NDArray[np.bool_]
     false_alarms = math.log(max(total - 7, 1)) + choices + (agree - 7) * math.log(chance)
     if agree < SAMPLE or false_alarms > 0:
         raise CalibrationError(
-            f"{agree} of {total} matches agree on a fundamental matrix within {threshold_px:g} px, no more than wrong "
-            "ones do by chance: match images that show the same scene, undistort the points, or raise threshold_px"
+            f"{agree} of {total} matches agree on a fundamental matrix within {threshold_px:g} px, no more than random "
+            "matches",
+            value=agree,
+            remedy="match images of the same scene, undistort the points, or raise threshold_px",
+            settings=("threshold_px",),
         )
 
 
@@ -117,9 +131,9 @@ def _log_binomial(n: int, k: int) -> float:
 
 
 def _check_depths(left_px: F64, right_px: F64, threshold_px: float) -> None:
-    """A plane and two points off it fit some fundamental matrix whatever the two are: there must be more.
+    """Inliers off the dominant plane must be more than two, which fit some fundamental matrix wherever they are.
 
-    (Chum, Werner and Matas 2005 call it H-degeneracy.)
+    (H-degeneracy, Chum, Werner and Matas 2005.)
     """
     reach_px = PLANE_THRESHOLDS * threshold_px
     H = cv2.findHomography(left_px, right_px, cv2.USAC_MAGSAC, reach_px)[0]
@@ -130,9 +144,12 @@ def _check_depths(left_px: F64, right_px: F64, threshold_px: float) -> None:
     needed = min(OFF_PLANE, (len(left_px) - 4) // 2)
     if off < needed:
         raise CalibrationError(
-            f"all but {off} of {len(left_px)} matches are those of one plane, or of a camera that only turned, within "
-            f"{reach_px:g} px; at least {needed} others are needed: show a scene with more depth to cameras further "
-            "apart, or lower threshold_px"
+            f"all but {off} of {len(left_px)} matches are coplanar, or of a camera that only rotated, within "
+            f"{reach_px:g} px; at least {needed} others are needed",
+            value=off,
+            limit=needed,
+            remedy="use a scene with more depth, a larger baseline, or a lower threshold_px",
+            settings=("threshold_px",),
         )
 
 
@@ -140,14 +157,16 @@ def _magsac(left_px: F64, right_px: F64, threshold_px: float) -> F64:
     F, _ = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC, threshold_px, CONFIDENCE, MAX_SAMPLES)
     if F is None or F.shape != (3, 3):
         raise CalibrationError(
-            f"MAGSAC found no fundamental matrix for {len(left_px)} matches: match images that show the same scene"
+            f"MAGSAC found no fundamental matrix for {len(left_px)} matches",
+            value=len(left_px),
+            remedy="match images of the same scene",
         )
     found: F64 = F
     return found
 
 
 def _ransac(left_px: F64, right_px: F64, threshold_px: float) -> F64:
-    """The best of random samples of eight, each improvement at once fitted to its inliers (Chum et al. 2003)."""
+    """The best of random samples of eight, each improvement locally optimized by its inliers (Chum et al. 2003)."""
     to_left, to_right = common_scale(left_px, right_px)
     x_left, x_right = homogeneous(left_px) @ to_left.T, homogeneous(right_px) @ to_right.T
     threshold = threshold_px * to_left[0, 0]
@@ -179,7 +198,7 @@ def _from_samples(x_left: F64, x_right: F64, rng: np.random.Generator) -> F64:
 
 
 def _scores(F: F64, x_left: F64, x_right: F64, threshold: float) -> tuple[F64, npt.NDArray[np.intp]]:
-    """Of each matrix, float64 (S, 3, 3), the sum of squared Sampson distances cut at the threshold, and the inliers."""
+    """Sums of squared Sampson distances truncated at the threshold, and inlier counts, of matrices (S, 3, 3)."""
     in_right, in_left = x_left @ F.transpose(0, 2, 1), x_right @ F
     slope = (in_right[..., :2] ** 2).sum(axis=2) + (in_left[..., :2] ** 2).sum(axis=2)
     squared = (in_right * x_right).sum(axis=2) ** 2 / np.maximum(slope, np.finfo(np.float64).tiny)
@@ -188,7 +207,7 @@ def _scores(F: F64, x_left: F64, x_right: F64, threshold: float) -> tuple[F64, n
 
 
 def _refitted(F: F64, x_left: F64, x_right: F64, threshold: float) -> F64:
-    """The eight-point solution of the inliers; as it was where they leave it open."""
+    """The eight-point solution of the inliers; F itself where they do not determine it."""
     inliers = sampson_distance(F, x_left[:, :2], x_right[:, :2]) < threshold
     try:
         return eight_point(x_left[inliers, :2], x_right[inliers, :2])
@@ -197,7 +216,7 @@ def _refitted(F: F64, x_left: F64, x_right: F64, threshold: float) -> F64:
 
 
 def _samples_needed(share: float) -> int:
-    """So many that with the confidence asked for one of them holds inliers only."""
+    """Number of samples after which one consists of inliers only, with the given confidence."""
     good = min(share**SAMPLE, 1 - 1e-12)
     return math.ceil(math.log(1 - CONFIDENCE) / math.log1p(-good)) if good > 0 else MAX_SAMPLES
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points and cameras from matches, as far as what is known of the cameras goes: meters, shape, or incidence only."""
+"""Reconstruction of points and cameras from matches: Euclidean, up to scale, or projective."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64, U8, Reason
-from stereo_depth_ros.geometry.correspondences import Correspondences, undistort_points
+from stereo_depth_ros.geometry.correspondences import Correspondences
 from stereo_depth_ros.geometry.epipolar import epipoles
 from stereo_depth_ros.geometry.essential import estimate_essential
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
+from stereo_depth_ros.geometry.rays import undistort_points
 from stereo_depth_ros.geometry.relative_pose import RelativePose, cross_matrix
 from stereo_depth_ros.geometry.triangulation import (
     MIN_PARALLAX_RAD,
@@ -34,33 +35,33 @@ Cameras: TypeAlias = StereoRig | tuple[CameraModel, CameraModel] | None
 
 
 class Level(enum.Enum):
-    """What of a reconstruction is meaningful: what all scenes that give the same images have in common.
+    """Ambiguity of a reconstruction: what all scenes with the same images have in common.
 
     (Trucco and Verri, Introductory Techniques for 3-D Computer Vision, 1998, section 7.4.)
     """
 
-    EUCLIDEAN = "euclidean"  # all of it
+    EUCLIDEAN = "euclidean"  # lengths in meters
     UP_TO_SCALE = "up_to_scale"  # angles and ratios of lengths
-    PROJECTIVE = "projective"  # lines, planes, where they meet, and cross ratios; no lengths, angles or parallels
+    PROJECTIVE = "projective"  # incidence and cross ratios; no lengths, angles or parallels
 
     @property
     def unit(self) -> str | None:
-        """Of the coordinates: meters, or baselines; None where they have none."""
+        """Unit of the coordinates: meters or baselines; None for PROJECTIVE."""
         return {Level.EUCLIDEAN: "meters", Level.UP_TO_SCALE: "baselines", Level.PROJECTIVE: None}[self]
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """The points of N matches, and the cameras that see them there.
+    """Points of N matches, and the camera matrices.
 
     Attributes:
-        level: what of it is meaningful.
-        homogeneous: float64 (N, 4) of length 1, in the left camera, for PROJECTIVE in its frame; NaN where invalid.
-        reasons: uint8 (N,), bits of :class:`Reason`, 0 exactly where ``homogeneous`` is finite: NO_MATCH, not what one
-            point shows in both cameras; RANGE, behind a camera, or no point at a finite distance from the baseline.
-        residual_px: float64 (N,), distance in both images together from the match to what the cameras see of the
-            nearest point; NaN where there is none.
-        P_left, P_right: float64 (3, 4), the cameras, from points to pixels without distortion.
+        level: ambiguity of the reconstruction.
+        homogeneous: float64 (N, 4) of length 1, in the frame of the left camera; NaN where invalid.
+        reasons: uint8 (N,), bits of :class:`Reason`, 0 exactly where ``homogeneous`` is finite: NO_MATCH, the match
+            violates the epipolar constraint; RANGE, the point is behind a camera, at infinity or on the baseline.
+        residual_px: float64 (N,), reprojection error in both images together, px without distortion; NaN where no point
+            is found.
+        P_left, P_right: float64 (3, 4), camera matrices, from points to pixels without distortion.
         pose: of the right camera, in the unit of the level; None for PROJECTIVE.
     """
 
@@ -74,7 +75,7 @@ class Reconstruction:
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:
-        """bool (N,), the matches that have a point."""
+        """bool (N,), the matches with a valid point."""
         return np.equal(self.reasons, Reason.VALID)
 
     @property
@@ -87,21 +88,34 @@ class Reconstruction:
         if self.level is Level.PROJECTIVE:
             raise CalibrationError(
                 "points of a projective reconstruction have no X, Y, Z: its homogeneous coordinates are known up to "
-                "any 4 x 4 homography: take `homogeneous`, or give the intrinsics of the cameras"
+                "any 4 x 4 homography",
+                value=self.level.value,
+                remedy="use `homogeneous`, or give the intrinsics of the cameras",
             )
         points: F64 = self.homogeneous[:, :3] / self.homogeneous[:, 3:]
         return points
 
     def with_baseline(self, baseline_m: float) -> Reconstruction:
-        """The Euclidean reconstruction of an UP_TO_SCALE one, by the one length that it lacks.
+        """The Euclidean reconstruction from an UP_TO_SCALE one and the length of its baseline.
 
         Raises:
             CalibrationError: another level, or a baseline that is not above 0.
         """
         if self.level is not Level.UP_TO_SCALE or self.pose is None:
-            raise CalibrationError(f"{self.level.value} reconstruction: a baseline completes an up_to_scale one only")
+            raise CalibrationError(
+                "a baseline applies to an up_to_scale reconstruction only",
+                subject=f"{self.level.value} reconstruction",
+                value=self.level.value,
+                limit=Level.UP_TO_SCALE.value,
+            )
         if not 0 < baseline_m < np.inf:
-            raise CalibrationError(f"baseline {baseline_m:g} m is not above 0: measure it, in meters")
+            raise CalibrationError(
+                f"baseline {baseline_m:g} m is not above 0",
+                value=baseline_m,
+                limit=0.0,
+                remedy="measure it, in meters",
+                settings=("baseline",),
+            )
         homogeneous = self.homogeneous * [baseline_m, baseline_m, baseline_m, 1]
         return replace(
             self,
@@ -113,22 +127,22 @@ class Reconstruction:
 
 
 def reconstruct(left_px: F64, right_px: F64, cameras: Cameras, threshold_px: float = 1.0) -> Reconstruction:
-    """The points that are seen nearest to the matches, at the level that the knowledge of the cameras allows.
+    """Reconstruct points of least reprojection error from matches, at the level that the known cameras allow.
 
     - A rig gives a EUCLIDEAN reconstruction.
-    - Two cameras of which K and D are known give an UP_TO_SCALE one: the essential matrix is estimated from the
-      matches, and of its four poses the one with the points in front of both cameras is taken. The baseline is 1.
+    - Two cameras with known K and D give an UP_TO_SCALE one: the essential matrix is estimated from the matches, and of
+      its four poses the one with the points in front of both cameras is used. The baseline is 1.
     - None gives a PROJECTIVE one: the fundamental matrix is estimated, the cameras are :func:`canonical_cameras`. The
-      images must be those of cameras without distortion.
+      images must be undistorted.
 
     Args:
-        left_px, right_px: float64 (N, 2), px of the raw images; wrong matches may be among them.
-        cameras: what is known of the cameras that took the images. For a rectified pair, its rectified cameras.
-        threshold_px: of the distance from a match to what both cameras can see of one point; beyond it is wrong.
+        left_px, right_px: float64 (N, 2), px of the raw images; outliers are allowed.
+        cameras: known cameras of the images. For a rectified pair, its rectified cameras.
+        threshold_px: matches of larger reprojection error are invalid.
 
     Raises:
         ImageError: the two are not both (N, 2).
-        CalibrationError: the cameras are to be estimated, and the matches do not tell them.
+        CalibrationError: the matches do not determine the cameras to be estimated.
     """
     matches = Correspondences(np.asarray(left_px, np.float64), np.asarray(right_px, np.float64))
     if isinstance(cameras, StereoRig):
@@ -149,8 +163,8 @@ def reconstruct(left_px: F64, right_px: F64, cameras: Cameras, threshold_px: flo
 def canonical_cameras(F: F64, v: npt.ArrayLike = (0.0, 0.0, 0.0), scale: float = 1.0) -> tuple[F64, F64]:
     """Two cameras with this fundamental matrix: P_left = [I | 0], P_right = [[e']x F + e' v^T | scale e'].
 
-    e' is the right epipole, of length 1. All pairs of cameras with this F come from them by a homography of space; all
-    of them with P_left = [I | 0], by the choice of v and scale (Hartley and Zisserman 2004, results 9.9 and 9.15).
+    e' is the right epipole, of length 1. All pairs of cameras with this F are related to them by a homography of space;
+    those with P_left = [I | 0], by the choice of v and scale (Hartley and Zisserman 2004, results 9.9 and 9.15).
 
     Args:
         F: float64 (3, 3) of rank 2, of any scale.
@@ -194,7 +208,7 @@ def _triangulated(
 
 
 def _in_range(X: F64, P_right: F64, pose: RelativePose | None) -> npt.NDArray[np.bool_]:
-    """Whether there is a point and, where cameras have a front, it lies before both and not at infinity."""
+    """Whether a point exists and, for calibrated cameras, is in front of both and not at infinity."""
     exists: npt.NDArray[np.bool_] = np.isfinite(X.sum(axis=1))
     if pose is None:
         return exists

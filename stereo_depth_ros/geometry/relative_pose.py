@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the right camera is as the left one sees it, and the essential matrix of the two."""
+"""Pose of the right camera relative to the left one, and its essential matrix."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class RelativePose:
 
     Attributes:
         R: float64 (3, 3), rotation from the left to the right camera.
-        t: float64 (3,), meters: the left center in the right camera. Of length 1 where ``up_to_scale``.
-        up_to_scale: images alone do not tell how long t is, its direction is all that is known.
+        t: float64 (3,), meters: the left center in the right camera. Of length 1 if ``up_to_scale``.
+        up_to_scale: only the direction of t is known, as from images alone.
 
     Raises:
-        CalibrationError: R is no rotation, or t is zero or not finite.
+        CalibrationError: R is not a rotation, or t is zero or not finite.
     """
 
     R: F64
@@ -36,18 +36,25 @@ class RelativePose:
     def __post_init__(self) -> None:
         R, t = np.array(self.R, np.float64), np.array(self.t, np.float64).ravel()
         if R.shape != (3, 3) or t.shape != (3,):
-            raise CalibrationError(f"R has shape {R.shape} and t {t.shape}, they take (3, 3) and (3,): write them all")
+            raise CalibrationError(
+                f"R has shape {R.shape} and t {t.shape}, not (3, 3) and (3,)",
+                value=(R.shape, t.shape),
+                limit=((3, 3), (3,)),
+                remedy="give all values of both",
+            )
         check_rotation(R, "R from the left to the right camera")
         if not (np.isfinite(t).all() and t.any()):
             raise CalibrationError(
-                f"t = {t.tolist()} is no baseline, it is finite and not 0: two cameras in one place see no depth"
+                f"t = {t.tolist()} is not a baseline, which is finite and not 0",
+                value=t.tolist(),
+                remedy="give the translation between the cameras",
             )
         object.__setattr__(self, "R", R)
         object.__setattr__(self, "t", t / np.linalg.norm(t) if self.up_to_scale else t)
 
     @classmethod
     def from_rig(cls, rig: StereoRig) -> RelativePose:
-        """The pose of the raw cameras, from how R and P of the rig turn and shift them into rectified ones."""
+        """The pose of the raw cameras, from R and P of the rig."""
         baseline_m = np.array([-rig.baseline_m, 0.0, 0.0])
         return cls(rig.right.R.T @ rig.left.R, rig.right.R.T @ baseline_m)
 

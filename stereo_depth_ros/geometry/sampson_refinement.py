@@ -1,37 +1,40 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fundamental and essential matrices moved to where the Sampson distances of matches are least.
+"""Refinement of fundamental and essential matrices to least Sampson distances of matches.
 
-Distances d are summed as squares, or, with a scale c, as d^2 / (1 + (d / c)^2) (Geman and McClure 1985): a match
-several scales away then pulls no more.
+The cost of distances d is the sum of squares, or, with a scale c, of d^2 / (1 + (d / c)^2) (Geman and McClure 1985),
+which limits the influence of outliers.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.epipolar import homogeneous
+from stereo_depth_ros.geometry.levenberg_marquardt import StopRules, damped_step, minimize
 from stereo_depth_ros.geometry.relative_pose import cross_matrix
 
 __all__ = ["common_scale", "refine_essential", "refine_fundamental", "robust_cost", "robust_scale"]
 
-_ITERATIONS = 50
-_SETTLED = 1e-10  # relative decrease of the sum of squares
+_STOP = StopRules(max_trials=50, tolerance=1e-10, converged_steps=1, max_damping=3e7)
 _GENERATORS = np.stack([cross_matrix(axis) for axis in np.identity(3)])
 
 
 def robust_scale(distances: F64) -> float:
-    """A scale c for distances, float64 (N,), of right matches and some wrong ones: 2.5 standard deviations.
+    """A scale c for distances, float64 (N,), with outliers: 2.5 standard deviations, estimated from the median.
 
-    The deviation is taken from the median; above 0 for matches without noise too.
+    Above 0 for matches without noise too.
     """
     return max(2.5 * 1.4826 * float(np.median(distances)), 1e-6)
 
 
 def robust_cost(distances: F64, scale: float) -> float:
-    """The sum that the refinements lower, of distances float64 (N,)."""
+    """The cost that the refinements minimize, of distances float64 (N,)."""
     squared = distances**2
     return float(np.sum(squared / (1 + squared / scale**2)))
 
@@ -39,23 +42,23 @@ def robust_cost(distances: F64, scale: float) -> float:
 def refine_fundamental(F: F64, left_px: F64, right_px: F64, scale_px: float = np.inf) -> F64:
     """The fundamental matrix of least Sampson distance near F, of rank 2 at every step.
 
-    F = U diag(cos a, sin a, 0) V^T with two rotations and an angle has the seven parameters that it needs (Bartoli and
-    Sturm 2004); they are found by the method of Levenberg and Marquardt.
+    F = U diag(cos a, sin a, 0) V^T has the minimal seven parameters in two rotations and an angle (Bartoli and Sturm
+    2004), which are optimized by Levenberg-Marquardt.
 
     Args:
-        F: float64 (3, 3), the start.
+        F: float64 (3, 3), the initial value.
         left_px, right_px: float64 (N, 2), N >= 7.
-        scale_px: see above; infinite for squares.
+        scale_px: scale c of the cost; infinite for squares.
 
     Returns:
         float64 (3, 3), Frobenius norm 1.
     """
     to_left, to_right = common_scale(left_px, right_px)
-    start = np.linalg.inv(to_right).T @ F @ np.linalg.inv(to_left)
-    U, singular, Vt = np.linalg.svd(start)
+    U, singular, Vt = np.linalg.svd(np.linalg.inv(to_right).T @ F @ np.linalg.inv(to_left))
     x_left, x_right = homogeneous(left_px) @ to_left.T, homogeneous(right_px) @ to_right.T
     problem = _Problem(x_left, x_right, np.identity(3), np.identity(3), scale_px * to_left[0, 0])
-    refined = to_right.T @ _minimize(problem, U, Vt, float(np.arctan2(singular[1], singular[0])), True) @ to_left
+    start = _Factors(problem, U, Vt, float(np.arctan2(singular[1], singular[0])), free_angle=True)
+    refined = to_right.T @ minimize(start, _STOP).matrix @ to_left
     unit: F64 = refined / np.linalg.norm(refined)
     return unit
 
@@ -64,10 +67,10 @@ def refine_essential(E: F64, left_px: F64, right_px: F64, K_left: F64, K_right: 
     """The essential matrix of least Sampson distance in pixels near E; as above with five parameters, a = 45 degrees.
 
     Args:
-        E: float64 (3, 3), the start.
+        E: float64 (3, 3), the initial value.
         left_px, right_px: float64 (N, 2), N >= 5, without distortion.
         K_left, K_right: float64 (3, 3), px.
-        scale_px: see above; infinite for squares.
+        scale_px: scale c of the cost; infinite for squares.
 
     Returns:
         float64 (3, 3), singular values 1, 1 and 0.
@@ -78,13 +81,13 @@ def refine_essential(E: F64, left_px: F64, right_px: F64, K_left: F64, K_right: 
     x_left, x_right = homogeneous(left_px) @ to_left.T, homogeneous(right_px) @ to_right.T
     problem = _Problem(x_left, x_right, before, after, scale_px * to_left[0, 0])
     U, _, Vt = np.linalg.svd(E)
-    inner = _minimize(problem, U, Vt, np.pi / 4, False)
-    essential: F64 = np.sqrt(2) * (to_right @ K_right).T @ inner @ to_left @ K_left
+    refined = minimize(_Factors(problem, U, Vt, np.pi / 4, free_angle=False), _STOP).matrix
+    essential: F64 = np.sqrt(2) * (to_right @ K_right).T @ refined @ to_left @ K_left
     return essential
 
 
 def common_scale(left_px: F64, right_px: F64) -> tuple[F64, F64]:
-    """float64 (3, 3) each: move both means to 0 and scale both images alike, so that distances in them compare."""
+    """float64 (3, 3) each: move both means to 0 and scale both images equally, so that distances are comparable."""
     means = left_px.mean(axis=0), right_px.mean(axis=0)
     squares = ((left_px - means[0]) ** 2).sum(axis=1) + ((right_px - means[1]) ** 2).sum(axis=1)
     scale = 2 / np.sqrt(squares.mean())
@@ -92,75 +95,84 @@ def common_scale(left_px: F64, right_px: F64) -> tuple[F64, F64]:
     return left, right
 
 
+@dataclass(frozen=True, eq=False)
 class _Problem:
-    """Signed Sampson distances of matches, and their derivatives, for matrices ``before @ M @ after``."""
+    """Matches, float64 (N, 3) each, and the factors of matrices ``before @ M @ after`` that are fitted to them."""
 
-    def __init__(self, x_left: F64, x_right: F64, before: F64, after: F64, scale: float) -> None:
-        self._x_left, self._x_right, self._before, self._after = x_left, x_right, before, after
-        self.scale = scale
+    x_left: F64
+    x_right: F64
+    before: F64
+    after: F64
+    scale: float
 
-    def matrix(self, U: F64, Vt: F64, angle: float) -> F64:
-        F: F64 = self._before @ (U * [np.cos(angle), np.sin(angle), 0]) @ Vt @ self._after
-        return F
-
-    def distances(self, F: F64) -> F64:
-        """float64 (N,)."""
-        error, slope, _ = self._parts(F)
-        signed: F64 = error / slope
-        return signed
-
-    def jacobian(self, U: F64, Vt: F64, angle: float, free_angle: bool) -> F64:
-        """float64 (N, 7): by the turns of U, by those of V, by the angle; (N, 5) where that is fixed at 45 degrees."""
-        S = np.diag([np.cos(angle), np.sin(angle), 0])
-        turns = np.concatenate([U @ _GENERATORS @ S @ Vt, -U @ S @ _GENERATORS @ Vt])
-        by_angle = U @ np.diag([-np.sin(angle), np.cos(angle), 0]) @ Vt
-        # With equal singular values U and V turned alike about the third axis change nothing
-        changes = np.concatenate([turns, by_angle[None]]) if free_angle else np.delete(turns, 5, axis=0)
-        return self._derivative(self.matrix(U, Vt, angle), self._before @ changes @ self._after)
-
-    def _parts(self, F: F64) -> tuple[F64, F64, F64]:
-        """x_right^T F x_left, the length of its gradient, and the gradient, float64 (N, 4)."""
-        in_right, in_left = self._x_left @ F.T, self._x_right @ F
+    def sampson(self, F: F64) -> tuple[F64, F64, F64]:
+        """x_right^T F x_left, float64 (N,), the length of its gradient, and the gradient, float64 (N, 4)."""
+        in_right, in_left = self.x_left @ F.T, self.x_right @ F
         gradient = np.hstack((in_right[:, :2], in_left[:, :2]))
         slope = np.maximum(np.linalg.norm(gradient, axis=1), np.finfo(np.float64).tiny)
-        return np.einsum("ij,ij->i", self._x_right, in_right), slope, gradient
+        return np.einsum("ij,ij->i", self.x_right, in_right), slope, gradient
 
-    def _derivative(self, F: F64, changes: F64) -> F64:
-        error, slope, gradient = self._parts(F)
-        in_right = np.einsum("kab,nb->nka", changes, self._x_left)
-        in_left = np.einsum("kab,na->nkb", changes, self._x_right)
-        d_error = np.einsum("nka,na->nk", in_right, self._x_right)
+    def jacobian(self, F: F64, changes: F64) -> F64:
+        """Derivatives of the signed distances, float64 (N, P), by P changes of F, float64 (P, 3, 3)."""
+        error, slope, gradient = self.sampson(F)
+        in_right = np.einsum("kab,nb->nka", changes, self.x_left)
+        in_left = np.einsum("kab,na->nkb", changes, self.x_right)
+        d_error = np.einsum("nka,na->nk", in_right, self.x_right)
         d_gradient = np.concatenate((in_right[..., :2], in_left[..., :2]), axis=2)
         d_slope = np.einsum("nkc,nc->nk", d_gradient, gradient) / slope[:, None]
         derivative: F64 = (d_error - (error / slope)[:, None] * d_slope) / slope[:, None]
         return derivative
 
 
-def _minimize(problem: _Problem, U: F64, Vt: F64, angle: float, free_angle: bool) -> F64:
-    """Levenberg and Marquardt from U diag(cos a, sin a, 0) V^T; the matrix of the problem, float64 (3, 3)."""
-    distances = problem.distances(problem.matrix(U, Vt, angle))
-    cost, damping = robust_cost(distances, problem.scale), 1e-3
-    for _ in range(_ITERATIONS):
-        root_weights = 1 / (1 + (distances / problem.scale) ** 2)
-        J = problem.jacobian(U, Vt, angle, free_angle) * root_weights[:, None]
-        normal, slope = J.T @ J, J.T @ (root_weights * distances)
-        step = np.linalg.lstsq(normal + damping * np.diag(normal.diagonal()), -slope, rcond=None)[0]
-        trial = _moved(U, Vt, angle, np.asarray(step, np.float64))
-        trial_distances = problem.distances(problem.matrix(*trial))
-        decrease = cost - robust_cost(trial_distances, problem.scale)
-        if decrease <= 0:
-            if damping > 1e6:
-                break
-            damping *= 10
-            continue
-        (U, Vt, angle), distances = trial, trial_distances
-        cost, damping = cost - decrease, damping / 10
-        if decrease <= _SETTLED * cost:
-            break
-    return problem.matrix(U, Vt, angle)
+@dataclass(frozen=True, eq=False)
+class _Factors:
+    """An iterate M = U diag(cos a, sin a, 0) V^T; a is constant unless ``free_angle``."""
 
+    problem: _Problem
+    U: F64
+    Vt: F64
+    angle: float
+    free_angle: bool
 
-def _moved(U: F64, Vt: F64, angle: float, step: F64) -> tuple[F64, F64, float]:
-    """The two rotations turned, and the angle changed, by a step of 7 parameters, or of 5 that leave the angle."""
-    step = step if len(step) == 7 else np.append(step, (0.0, 0.0))
-    return U @ cv2.Rodrigues(step[:3])[0], cv2.Rodrigues(step[3:6])[0].T @ Vt, angle + float(step[6])
+    @cached_property
+    def matrix(self) -> F64:
+        """float64 (3, 3), ``before @ M @ after``."""
+        M = (self.U * [np.cos(self.angle), np.sin(self.angle), 0]) @ self.Vt
+        F: F64 = self.problem.before @ M @ self.problem.after
+        return F
+
+    @cached_property
+    def cost(self) -> float:
+        return robust_cost(self._distances, self.problem.scale)
+
+    def trial(self, damping: float) -> _Factors:
+        """Both rotations and the angle after a damped step."""
+        step = damped_step(*self._normal_equations, damping)
+        step = step if self.free_angle else np.append(step, (0.0, 0.0))
+        U, Vt = self.U @ cv2.Rodrigues(step[:3])[0], cv2.Rodrigues(step[3:6])[0].T @ self.Vt
+        return replace(self, U=U, Vt=Vt, angle=self.angle + float(step[6]))
+
+    @cached_property
+    def _distances(self) -> F64:
+        """float64 (N,), signed."""
+        error, slope, _ = self.problem.sampson(self.matrix)
+        signed: F64 = error / slope
+        return signed
+
+    @cached_property
+    def _normal_equations(self) -> tuple[F64, F64]:
+        """J^T J and J^T r of the reweighted distances."""
+        root_weights = 1 / (1 + (self._distances / self.problem.scale) ** 2)
+        J = self.problem.jacobian(self.matrix, self._changes()) * root_weights[:, None]
+        return J.T @ J, J.T @ (root_weights * self._distances)
+
+    def _changes(self) -> F64:
+        """Derivatives of the matrix by the rotations of U and V and the angle, float64 (7, 3, 3), or (5, 3, 3)."""
+        cosine, sine = np.cos(self.angle), np.sin(self.angle)
+        S = np.diag([cosine, sine, 0])
+        rotations = np.concatenate([self.U @ _GENERATORS @ S @ self.Vt, -self.U @ S @ _GENERATORS @ self.Vt])
+        by_angle = self.U @ np.diag([-sine, cosine, 0]) @ self.Vt
+        # With equal singular values U and V rotated alike about the third axis change nothing
+        changes = np.concatenate([rotations, by_angle[None]]) if self.free_angle else np.delete(rotations, 5, axis=0)
+        derivatives: F64 = self.problem.before @ changes @ self.problem.after
+        return derivatives

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points of space from matched points of two images whose cameras are known; of any two cameras, raw or not.
+"""Triangulation of matched points with any two known cameras.
 
-Rectified pairs have a closed form of their own: :meth:`stereo_depth_ros.core.triangulation.Triangulation.points`.
+Rectified pairs have a closed form: :meth:`stereo_depth_ros.core.triangulation.Triangulation.points`.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ __all__ = [
     "triangulate_optimal",
 ]
 
-MIN_PARALLAX_RAD = 1e-6  # of two rays that meet: a thousandth of a pixel of a long lens, which no match tells
-_ONE_RAY = 1e-9  # singular value, relative to the first, below which two rays are one
+MIN_PARALLAX_RAD = 1e-6  # of two rays: a thousandth of a pixel of a long lens, below the noise of matches
+_ONE_RAY = 1e-9  # singular value, relative to the first, below which two rays are identical
 _MAX_STEPS = 30  # of the optimal correction; 2 to 4 are usual
 _CONVERGED_PX = 1e-9
 
 
 def triangulate_linear(P_left: F64, P_right: F64, left_px: F64, right_px: F64) -> F64:
-    """Where the equations x (P3 X) = P1 X, y (P3 X) = P2 X of both images are met best, in homogeneous coordinates.
+    """Linear triangulation: least squares of x (P3 X) = P1 X, y (P3 X) = P2 X of both images.
 
-    Hartley and Zisserman, Multiple View Geometry, 2004, section 12.2. Exact for rays that meet; of rays that miss each
-    other, what is least has no meaning in the images: see :func:`triangulate_optimal`.
+    Hartley and Zisserman, Multiple View Geometry, 2004, section 12.2. Exact for rays that intersect; for others the
+    algebraic error has no meaning in the images, see :func:`triangulate_optimal`.
 
     Args:
         P_left, P_right: float64 (3, 4), cameras in any frame, projective ones too.
@@ -42,7 +42,7 @@ def triangulate_linear(P_left: F64, P_right: F64, left_px: F64, right_px: F64) -
 
     Returns:
         float64 (N, 4) of length 1, with (P_left X)_3 >= 0; the last coordinate is 0 for a point at infinity. NaN where
-        the match is not finite, or where both rays are the line through the two centers, on which all points agree.
+        the match is not finite, or where both rays are the baseline, on which every point is a solution.
     """
     matches = Correspondences(left_px, right_px)
     finite: npt.NDArray[np.bool_] = np.isfinite((matches.left_px + matches.right_px).sum(axis=1))
@@ -65,62 +65,62 @@ def triangulate_linear(P_left: F64, P_right: F64, left_px: F64, right_px: F64) -
 
 
 def triangulate_optimal(P_left: F64, P_right: F64, left_px: F64, right_px: F64) -> F64:
-    """The points that are seen nearest to where they were matched: least squares in both images.
+    """Optimal triangulation: least squared reprojection error in both images.
 
-    The maximum-likelihood estimate for equal Gaussian noise; it does not depend on the frame, so it serves projective
-    cameras as well (Hartley and Sturm, Triangulation, 1997). Arguments and result as of :func:`triangulate_linear`;
-    NaN also where :func:`optimal_matches` finds none.
+    The maximum-likelihood estimate for equal Gaussian noise; it is projectively invariant, so that it applies to
+    projective cameras too (Hartley and Sturm, Triangulation, 1997). Arguments and result as of
+    :func:`triangulate_linear`; NaN also where :func:`optimal_matches` does not converge.
     """
     nearest = optimal_matches(fundamental_from_cameras(P_left, P_right), left_px, right_px)
     return triangulate_linear(P_left, P_right, nearest.left_px, nearest.right_px)
 
 
 def triangulate_midpoint(pose: RelativePose, left_rays: F64, right_rays: F64) -> F64:
-    """The middle of the shortest line between two rays (Trucco and Verri 1998, section 7.4.1).
+    """Midpoint of the shortest segment between two rays (Trucco and Verri 1998, section 7.4.1).
 
     Args:
         pose: of calibrated cameras.
         left_rays, right_rays: float64 (N, 3), directions in the left and in the right camera, of any length.
 
     Returns:
-        float64 (N, 3) in the left camera, in the unit of the pose. NaN where the rays are parallel, or come nearest to
-        each other behind a camera.
+        float64 (N, 3) in the left camera, in the unit of the pose. NaN where the rays are parallel, or closest to each
+        other behind a camera.
     """
-    T, turned = pose.right_center, right_rays @ pose.R  # R^T p of every row
-    normals = np.cross(left_rays, turned)
+    T, rotated = pose.right_center, right_rays @ pose.R  # R^T p of every row
+    normals = np.cross(left_rays, rotated)
     squared = np.einsum("ij,ij->i", normals, normals)
-    lengths = np.linalg.norm(left_rays, axis=1) * np.linalg.norm(turned, axis=1)
+    lengths = np.linalg.norm(left_rays, axis=1) * np.linalg.norm(rotated, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        along_left = np.einsum("ij,ij->i", np.cross(T, turned), normals) / squared
+        along_left = np.einsum("ij,ij->i", np.cross(T, rotated), normals) / squared
         along_right = np.einsum("ij,ij->i", np.cross(T, left_rays), normals) / squared
-    middle: F64 = (along_left[:, None] * left_rays + T + along_right[:, None] * turned) / 2
-    met = (np.sqrt(squared) > MIN_PARALLAX_RAD * lengths) & (along_left > 0) & (along_right > 0)
-    middle[~met] = np.nan
-    return middle
+    midpoint: F64 = (along_left[:, None] * left_rays + T + along_right[:, None] * rotated) / 2
+    intersect = (np.sqrt(squared) > MIN_PARALLAX_RAD * lengths) & (along_left > 0) & (along_right > 0)
+    midpoint[~intersect] = np.nan
+    return midpoint
 
 
 def optimal_matches(F: F64, left_px: F64, right_px: F64) -> Correspondences:
-    """The matches that agree with F exactly and are nearest to those that were found.
+    """The matches that satisfy F exactly and are nearest to the given ones.
 
-    The sum of squared distances in both images is least (Lindstrom, Triangulation Made Easy, 2010, section 4): each
-    step goes along the normals of the epipolar lines of the last one, onto F. For what can be a match it reaches the
-    minimum of Hartley and Sturm's polynomial (1997), without its roots, and for rectified pairs too; where noise is
-    of the size of the distance to the epipole there may be a lower minimum elsewhere.
+    Minimizes the sum of squared distances in both images (Lindstrom, Triangulation Made Easy, 2010, section 4): each
+    step projects onto F along the normals of the epipolar lines of the previous one. Except where the noise is of the
+    size of the distance to an epipole, this is the global minimum of Hartley and Sturm (1997), and it applies to
+    rectified pairs too.
 
     Args:
         F: float64 (3, 3) with x_right^T F x_left = 0, of any scale.
         left_px, right_px: float64 (N, 2), px of pinhole images.
 
     Returns:
-        N matches; NaN where no step leads onto F, as for matches that are far from it and near to the epipoles.
+        N matches; NaN where the iteration does not converge, as for wrong matches near the epipoles.
     """
     found = Correspondences(left_px, right_px)
     F = F / np.linalg.norm(F)
     F22 = F[:2, :2]
     left, right = homogeneous(left_px), homogeneous(right_px)
-    with np.errstate(divide="ignore", invalid="ignore"):  # points at infinity come out NaN
+    with np.errstate(divide="ignore", invalid="ignore"):  # points at infinity give NaN
         error = np.einsum("ni,ij,nj->n", right, F, left)
-        start_right = left @ F[:2].T  # normals of the epipolar lines of the found points
+        start_right = left @ F[:2].T  # normals of the epipolar lines of the given points
         start_left = right @ F[:, :2]
         normal_left, normal_right = start_left, start_right
         step_left, step_right = np.zeros_like(found.left_px), np.zeros_like(found.right_px)
@@ -134,20 +134,20 @@ def optimal_matches(F: F64, left_px: F64, right_px: F64) -> Correspondences:
             if not (moved > _CONVERGED_PX).any():
                 break
             normal_left, normal_right = start_left - step_right @ F22, start_right - step_left @ F22.T
-    lost = ~(moved <= _CONVERGED_PX)
-    step_left[lost] = step_right[lost] = np.nan
+    diverged = ~(moved <= _CONVERGED_PX)
+    step_left[diverged] = step_right[diverged] = np.nan
     return Correspondences(left_px - step_left, right_px - step_right)
 
 
 def fundamental_from_cameras(P_left: F64, P_right: F64) -> F64:
     """float64 (3, 3) of length 1: F = [e']x P_right P_left^+ (Hartley and Zisserman 2004, equation 9.1)."""
-    left_centre = np.linalg.svd(P_left)[2][3]
-    F: F64 = cross_matrix(P_right @ left_centre) @ P_right @ np.linalg.pinv(P_left)
+    left_center = np.linalg.svd(P_left)[2][3]
+    F: F64 = cross_matrix(P_right @ left_center) @ P_right @ np.linalg.pinv(P_left)
     return F / np.linalg.norm(F)
 
 
 def parallax(points: F64, pose: RelativePose) -> F64:
-    """Angle at which the two rays of a point meet, float64 (N,), radians; 0 at infinity and on the baseline.
+    """Parallax angle between the two rays of a point, float64 (N,), radians; 0 at infinity and on the baseline.
 
     Args:
         points: float64 (N, 4), homogeneous, in the left camera, in the unit of the pose.
@@ -161,7 +161,7 @@ def parallax(points: F64, pose: RelativePose) -> F64:
 
 
 def _spread(values: F64, chosen: npt.NDArray[np.bool_]) -> F64:
-    """The values in the rows that were chosen, NaN in the others."""
+    """The values in the chosen rows, NaN in the others."""
     rows = np.full((len(chosen), *values.shape[1:]), np.nan)
     rows[chosen] = values
     return rows

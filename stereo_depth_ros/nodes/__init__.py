@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS nodes: the only place that imports rclpy; thin: convert, call, publish."""
+"""The ROS nodes, the only package that imports rclpy; they convert, call and publish."""

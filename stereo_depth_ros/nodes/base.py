@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all nodes share: parameters, health, outputs that are made on demand, inputs that exist only then."""
+"""Base of all nodes: parameters, diagnostics, outputs built on demand, inputs that are subscribed only then."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from stereo_depth_ros.nodes.parameters import NodeParameters
 
 __all__ = ["Output", "StereoNode", "log_compilation"]
 
-_SILENCE_S = 5.0  # after this time without a message on an input, the node says so
+_SILENCE_S = 5.0  # an input without a message for this time is reported
 
 
 def log_compilation(node: Node, number: int, total: int) -> None:
-    """Log that a kernel is compiled, as :func:`compile_kernels` reports it."""
+    """Log the progress of :func:`compile_kernels`."""
     node.get_logger().info(f"compiling kernels, {number} of {total}")
 
 
 class Output:
-    """A publisher and whether anybody wants its messages."""
+    """A publisher that knows whether it has subscribers."""
 
     def __init__(self, publisher: Publisher) -> None:
         self._publisher = publisher
@@ -47,7 +47,7 @@ class Output:
         return bool(self._publisher.get_subscription_count())
 
     def publish(self, message: Any) -> None:
-        """Send; the message's memory may be used again afterwards."""
+        """Publish; the memory of the message may be reused afterwards."""
         self._publisher.publish(message)
 
 
@@ -63,11 +63,11 @@ class _Input:
 
 
 class StereoNode(Node):  # type: ignore[misc]
-    """A node that subscribes to its inputs while somebody subscribes to one of its outputs.
+    """A node that subscribes to its inputs while one of its outputs has a subscriber.
 
     Args:
         name: node name.
-        configs: config classes whose parameters it declares; PairingConfig is always one of them.
+        configs: config classes whose parameters it declares, besides PairingConfig.
 
     Raises:
         ConfigError: see :class:`NodeParameters`.
@@ -81,9 +81,9 @@ class StereoNode(Node):  # type: ignore[misc]
         self.diagnostics = NodeDiagnostics(self)
         self._outputs: list[Output] = []
         self._inputs: list[_Input] = []
-        self.on_idle: list[Callable[[], object]] = []  # called when no output is wanted any more
+        self.on_idle: list[Callable[[], object]] = []  # called when the last output loses its last subscriber
         self._awake = False
-        self._sleepless = False
+        self._always_awake = False
         self.create_timer(_SILENCE_S, self._report_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def add_output(self, message_type: Any, topic: str) -> Output:
@@ -105,31 +105,33 @@ class StereoNode(Node):  # type: ignore[misc]
         callback: Callable[[Any], None],
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        """A best-effort subscription while an output, and it, is wanted; errors of the callback become complaints."""
+        """A best-effort subscription while an output, and it, is wanted; errors of the callback are reported."""
         self._inputs.append(_Input(message_type, topic, callback, wanted))
 
     def refuse_equal_topics(self, left: str, right: str) -> None:
         """Raise TopicError where both cameras were remapped to the same topic."""
         resolved = self.resolve_topic_name(left)
         if resolved == self.resolve_topic_name(right):
-            raise TopicError(f"{left} and {right} are both {resolved}: remap them to different topics")
+            raise TopicError(
+                f"{left} and {right} are both {resolved}", value=resolved, remedy="remap them to different topics"
+            )
 
     def check_matcher(self, config: MatchingConfig) -> None:
-        """Raise ConfigError where the matcher refuses its parameters; its kernels are ready then."""
+        """Compile the kernels of the matcher; raise ConfigError where it refuses its parameters."""
         matcher_from_config(config)
         compile_kernels(functools.partial(log_compilation, self))
 
     def stay_awake(self) -> None:
-        """Keep the inputs subscribed whoever listens; to be called when all of them are added."""
-        self._sleepless = True
+        """Keep the inputs subscribed without subscribers of the outputs; to be called when all of them are added."""
+        self._always_awake = True
         self._follow_demand()
 
     def _follow_demand(self) -> None:
-        demand = self._sleepless or any(output.wanted for output in self._outputs)
+        demand = self._always_awake or any(output.wanted for output in self._outputs)
         for item in self._inputs:
             wanted = demand and item.wanted()
             if wanted and item.subscription is None:
-                item.received_before = -1  # silence is told after a whole interval without a message
+                item.received_before = -1  # silence is reported after a whole interval without a message
                 with self.diagnostics.catch():
                     item.subscription = self._subscribe(item)
             elif not wanted and item.subscription is not None:
@@ -147,12 +149,11 @@ class StereoNode(Node):  # type: ignore[misc]
                 item.callback(message)
 
         def incompatible(event: Any) -> None:
-            policy = qos_policy_name_from_kind(event.last_policy_kind)
+            policy, topic = qos_policy_name_from_kind(event.last_policy_kind), self.resolve_topic_name(item.topic)
             self.diagnostics.report_error(
                 f"incompatible qos {item.topic}",
-                f"{self.resolve_topic_name(item.topic)}: a publisher offers less {policy} than is asked for, nothing "
-                f"will arrive from it: change the publisher, or set qos_overrides.{self.resolve_topic_name(item.topic)}"
-                f".subscription.{policy.lower()}",
+                f"{topic}: a publisher offers less {policy} than is requested, no message of it will arrive: "
+                f"change the publisher, or set qos_overrides.{topic}.subscription.{policy.lower()}",
             )
 
         return self.create_subscription(
@@ -174,9 +175,9 @@ class StereoNode(Node):  # type: ignore[misc]
                 topic = self.resolve_topic_name(item.topic)
                 publishers = self.count_publishers(topic)
                 remedy = (
-                    f"{publishers} publisher(s) are there: check their QoS and that they send"
+                    f"{publishers} publisher(s): check their QoS and that they publish"
                     if publishers
-                    else "nobody publishes it: start the camera or remap the topic"
+                    else "no publisher: start the camera or remap the topic"
                 )
                 self.diagnostics.report_error(
                     f"silent {item.topic}", f"{topic}: nothing received for {_SILENCE_S:g} s; {remedy}"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rig of a node from the two camera infos it receives; what arrives before them waits."""
+"""The rig of a node from the two camera infos it receives; images that arrive before them wait."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.nodes.base import StereoNode
 
-__all__ = ["CalibrationInput"]
+__all__ = ["CalibrationInput", "info_contents"]
 
 _LEFT, _RIGHT = "left/camera_info", "right/camera_info"
 
 
 class CalibrationInput:
-    """Holds the rig: made of both camera infos when it is needed, and again after one of them has changed.
+    """Holds the rig: built from both camera infos when it is needed, and rebuilt after one of them has changed.
 
     Args:
         node: subscribes left/camera_info and right/camera_info.
@@ -40,21 +40,26 @@ class CalibrationInput:
         node.on_idle.append(self._forget)
 
     def with_rig(self, use: Callable[[StereoRig], None]) -> None:
-        """Call ``use`` with the rig, now or as soon as it is known; dropped, and counted, while it is not valid.
+        """Call ``use`` with the rig, now or as soon as it is known; dropped and counted while it is not valid.
 
         Raises:
-            CalibrationError: the camera infos that have arrived describe no rig.
+            CalibrationError: the camera infos received do not describe a rig.
         """
         if len(self._infos) < 2:
             self._wait(use)
             return
         if self._rig is None:
-            # Not before something needs it: when both camera infos change, one of them comes first.
-            self._rig = self._make_rig()
+            # Only when it is needed: when both camera infos change, one of them arrives first.
+            self._rig = self._build_rig()
         use(self._rig)
 
+    @property
+    def right_contents(self) -> tuple[Any, ...] | None:
+        """:func:`info_contents` of the newest right camera info; None before the first one."""
+        return self._contents.get(_RIGHT)
+
     def _forget(self) -> None:
-        """After a rest the cameras may be others, and an image may come before its camera info."""
+        """After an idle time the cameras may be others, and an image may arrive before its camera info."""
         self._infos.clear()
         self._contents.clear()
         self._waiting.clear()
@@ -66,10 +71,15 @@ class CalibrationInput:
             self._waiting.popleft()
             self._node.diagnostics.counters["dropped without calibration"] += 1
             missing = ", ".join(self._node.resolve_topic_name(t) for t in (_LEFT, _RIGHT) if t not in self._infos)
-            raise CalibrationError(f"images arrive, but nothing yet on {missing}: publish camera infos, or remap them")
+            raise CalibrationError(
+                f"images arrive, but no message on {missing}",
+                value=0,
+                limit=1,
+                remedy="publish camera infos, or remap them",
+            )
 
     def _receive(self, topic: str, info: Any) -> None:
-        contents = _contents(info)
+        contents = info_contents(info)
         if self._contents.get(topic) == contents:
             return
         self._contents[topic] = contents
@@ -81,7 +91,7 @@ class CalibrationInput:
                 with self._node.diagnostics.catch():
                     self.with_rig(use)
 
-    def _make_rig(self) -> StereoRig:
+    def _build_rig(self) -> StereoRig:
         topics = (self._node.resolve_topic_name(_LEFT), self._node.resolve_topic_name(_RIGHT))
         try:
             return StereoRig.from_infos(self._infos[_LEFT], self._infos[_RIGHT], topics)
@@ -90,8 +100,8 @@ class CalibrationInput:
             raise
 
 
-def _contents(info: Any) -> tuple[Any, ...]:
-    """Everything but the stamp, comparable."""
+def info_contents(info: Any) -> tuple[Any, ...]:
+    """All of a camera info but the stamp, comparable."""
     roi = info.roi
     window = (roi.x_offset, roi.y_offset, roi.height, roi.width)
     matrices = (bytes(info.d), info.k.tobytes(), info.r.tobytes(), info.p.tobytes())

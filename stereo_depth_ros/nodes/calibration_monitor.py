@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The health of the calibration in use: row errors of live rectified pairs, and a correction where it is asked for."""
+"""Monitors the calibration in use by the row errors of live rectified pairs, and corrects it on request."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
-from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.calibration_input import CalibrationInput, info_contents
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
 from stereo_depth_ros.nodes.runner import run
 
 __all__ = ["CalibrationMonitor", "main"]
 
-MIN_MATCHES = 20  # of one pair, below which it shows nothing
+MIN_MATCHES = 20  # of one pair; with fewer it is ignored
 _AXES = ("pitch", "yaw", "roll")
 _FIGURES = (
     "row_median_px",
@@ -45,10 +45,10 @@ _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabilit
 
 
 class CalibrationMonitor(StereoNode):
-    """Subscribes {left,right}/{image_rect,camera_info}, publishes health/row_error, and what it finds on /diagnostics.
+    """Subscribes {left,right}/{image_rect,camera_info}, publishes health/row_error, and its findings on /diagnostics.
 
     With auto_correct it publishes right/camera_info_corrected, one for each right/camera_info, for the node that
-    rectifies to subscribe in its place, and health/correction, latched: what is applied.
+    rectifies to subscribe instead, and the applied correction, latched, on health/correction.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class CalibrationMonitor(StereoNode):
         self._calibration = CalibrationInput(self)
         self._row_error = self.add_output(Float64MultiArray, "health/row_error")
         self._watch: _Watch | None = None
-        self._looked_at_ns = -math.inf
+        self._examined_ns = -math.inf
         pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
         add_image_input(self, "left/image_rect", pairs.add_left)
         add_image_input(self, "right/image_rect", pairs.add_right)
@@ -70,26 +70,26 @@ class CalibrationMonitor(StereoNode):
 
     def _on_pair(self, left: Any, right: Any) -> None:
         now_ns, rate = stamp_ns(left.header), self.parameters.get(CalibrationMonitorConfig).health_rate
-        due = not rate or not 0 <= now_ns - self._looked_at_ns < 1e9 / rate
+        due = not rate or not 0 <= now_ns - self._examined_ns < 1e9 / rate
         if due:
-            self._looked_at_ns = now_ns
-            self._calibration.with_rig(lambda rig: self._look(left, right, rig))
+            self._examined_ns = now_ns
+            self._calibration.with_rig(lambda rig: self._examine(left, right, rig))
 
-    def _look(self, left: Any, right: Any, rig: StereoRig) -> None:
+    def _examine(self, left: Any, right: Any, rig: StereoRig) -> None:
         frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
         with self.diagnostics.timed("match rows"):
             matches = match_rows(to_gray(frames[0]), to_gray(frames[1]))
         if self._watch is None or self._watch.rig is not rig:
-            self._watch = _Watch(rig, self._config)
-            self._say_correction(left.header.stamp)
+            self._watch = _Watch(rig, self._calibration.right_contents, self._config)
+            self._publish_correction(left.header.stamp)
         if len(matches) < MIN_MATCHES:
             self.diagnostics.counters["pairs with too few features"] += 1
             return
-        found, corrected = self._watch.look(matches)
+        found, corrected = self._watch.add(matches)
         self._row_error.publish(_row_error_message(matches, found))
         self._report(matches, found)
         if corrected:
-            self._say_correction(left.header.stamp)
+            self._publish_correction(left.header.stamp)
 
     def _report(self, matches: RowMatches, found: Misalignment | None) -> None:
         """On /diagnostics."""
@@ -100,19 +100,18 @@ class CalibrationMonitor(StereoNode):
         if median_px > limit_px:
             warnings.append(f"median row error {median_px:.2f} px, limit {limit_px:g} px: calibrate again")
         if found is not None and found.detected:
-            warnings.append(f"the right camera has moved: {_in_words(found)}")
+            warnings.append(f"the right camera has moved: {_misalignment_text(found)}")
         if self._watch is not None and self._watch.refusal:
             warnings.append(f"not corrected: {self._watch.refusal}")
         if self._config.auto_correct and not self._corrected.wanted:
             topic = self.resolve_topic_name("right/camera_info_corrected")
-            warnings.append(
-                f"nobody subscribes to {topic}: remap right/camera_info of the node that rectifies to it, or nothing "
-                "is corrected"
-            )
+            warnings.append(f"{topic} has no subscriber: remap right/camera_info of the node that rectifies to it")
         self.diagnostics.warning = "; ".join(warnings)
 
     def _on_right_info(self, info: Any) -> None:
-        """The same, with what has been corrected, for the sensor; as it came until there is something."""
+        """The camera info with the correction, for the sensor; unchanged without one, and for another camera."""
+        if self._watch is not None and self._watch.right_contents != info_contents(info):
+            self._watch = None
         camera = self._watch.corrected_camera if self._watch is not None else None
         corrected = info
         if camera is not None:
@@ -121,13 +120,13 @@ class CalibrationMonitor(StereoNode):
             corrected.k, corrected.r = K.ravel(), camera.R.ravel()
         self._corrected.publish(corrected)
 
-    def _say_correction(self, stamp: Any) -> None:
+    def _publish_correction(self, stamp: Any) -> None:
         """In the log and on the latched topic."""
         if self._watch is None or (correction := self._watch.correction) is None:
             return
-        text = _correction_in_words(correction)
+        text = _correction_text(correction)
         if correction.steps:
-            self.get_logger().warning(f"right camera corrected by {text}: calibrate again when there is time")
+            self.get_logger().warning(f"right camera corrected by {text}: calibrate again soon")
         values = {
             **{f"{name}_deg": f"{value:.5f}" for name, value in zip(_AXES, correction.rotation_deg, strict=True)},
             "scale": f"{correction.scale:.6f}",
@@ -142,38 +141,41 @@ class CalibrationMonitor(StereoNode):
 
 
 class _Watch:
-    """One rig under observation, corrected or not."""
+    """The monitoring of one rig, with or without correction; ``right_contents`` of its right camera info."""
 
-    def __init__(self, rig: StereoRig, config: CalibrationMonitorConfig) -> None:
+    def __init__(
+        self, rig: StereoRig, right_contents: tuple[Any, ...] | None, config: CalibrationMonitorConfig
+    ) -> None:
         self.rig = rig
+        self.right_contents = right_contents
         reference_deg = config.reference_yaw if config.correct_yaw else None
         self._estimator = MisalignmentEstimator(rig, reference_deg)
         self._auto: AutoCorrection | None = None
         if config.auto_correct:
             self._auto = AutoCorrection(rig, CorrectionLimits(config.correction_limit), reference_deg)
 
-    def look(self, matches: RowMatches) -> tuple[Misalignment | None, bool]:
-        """What is known after this pair, and whether a correction was made of it."""
-        return self._auto.look(matches) if self._auto else (self._estimator.add(matches), False)
+    def add(self, matches: RowMatches) -> tuple[Misalignment | None, bool]:
+        """The misalignment after this pair, and whether it was corrected."""
+        return self._auto.add(matches) if self._auto else (self._estimator.add(matches), False)
 
     @property
     def refusal(self) -> str:
-        """Why nothing is corrected, where something should be."""
+        """Why a misalignment is not corrected; empty where there is none."""
         return self._auto.refusal if self._auto else ""
 
     @property
     def corrected_camera(self) -> CameraModel | None:
-        """The right camera to rectify with; None as long as it is the calibrated one."""
+        """The right camera to rectify with; None while it is the calibrated one."""
         return self._auto.rig.right if self._auto and self._auto.rig is not self.rig else None
 
     @property
     def correction(self) -> Correction | None:
-        """What is applied; None where nothing may be."""
+        """The applied correction; None without auto_correct."""
         return self._auto.correction if self._auto else None
 
 
 def _row_error_message(matches: RowMatches, found: Misalignment | None) -> Any:
-    """The figures in one array; their names, in this order, are the label of its dimension. NaN is not known yet."""
+    """The figures in one array; their names, in this order, are the label of its dimension; NaN where not known."""
     unknown = [math.nan] * (len(_FIGURES) - 3)
     values = [matches.median_px, matches.rms_px, *unknown, float(len(matches))]
     if found is not None:
@@ -197,7 +199,7 @@ def _facts(matches: RowMatches, found: Misalignment | None) -> dict[str, str]:
     return facts | {"matches": str(found.matches), "pairs": str(found.frames)}
 
 
-def _in_words(found: Misalignment) -> str:
+def _misalignment_text(found: Misalignment) -> str:
     degrees = dict(zip(_AXES, found.rotation_deg, strict=True))
     return ", ".join(
         f"{name} {100 * found.scale:+.3f} %" if name == "scale" else f"{name} {degrees[name]:+.3f} deg"
@@ -205,7 +207,7 @@ def _in_words(found: Misalignment) -> str:
     )
 
 
-def _correction_in_words(correction: Correction) -> str:
+def _correction_text(correction: Correction) -> str:
     turn = ", ".join(f"{name} {value:+.3f}" for name, value in zip(_AXES, correction.rotation_deg, strict=True))
     return f"{turn} deg, focal length {100 * correction.scale:+.3f} %"
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibrates a live pair of cameras: collects views of a board, says what is missing, solves, saves, commits."""
+"""Calibrates a live pair of cameras: collects views of a board, reports what is missing, solves, saves, commits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from stereo_depth_ros.calibration.board_options import create_board, parse_board_size
 from stereo_depth_ros.calibration.calibration_files import calibration_files, save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
-from stereo_depth_ros.calibration.live_calibration import LiveCalibration, Look
+from stereo_depth_ros.calibration.live_calibration import LiveCalibration, ViewStatus
 from stereo_depth_ros.config import CalibrationConfig
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError, OutputError, StereoDepthError
@@ -32,6 +32,7 @@ from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.plots.coverage import coverage_plot
 from stereo_depth_ros.plots.drawing import save_png
@@ -40,15 +41,16 @@ from stereo_depth_ros.plots.operator_overlay import operator_overlay
 __all__ = ["CalibrationNode", "main"]
 
 SIDES = ("left", "right")
-COMMIT_TIMEOUT_S = 5.0  # for a driver to appear, and again for its answer
+COMMIT_TIMEOUT_S = 5.0  # for a driver to appear, and again for its response
+_SEE_LOG = "read the log of the driver"
 
 
 class CalibrationNode(StereoNode):
     """Subscribes {left,right}/image_raw, publishes calibration/image: views taken so far, and what to do next.
 
     Services: ~/calibrate solves with the views taken, ~/save writes the files of `stereo-depth calibrate`, ~/commit
-    sends the camera infos to {left,right}/set_camera_info of the drivers. Boards are looked for in a thread of its own;
-    pairs that come meanwhile are passed over.
+    sends the camera infos to {left,right}/set_camera_info of the drivers. Boards are detected in a separate thread;
+    pairs that arrive meanwhile are skipped.
     """
 
     def __init__(self) -> None:
@@ -70,11 +72,11 @@ class CalibrationNode(StereoNode):
         add_image_input(self, "left/image_raw", pairs.add_left)
         add_image_input(self, "right/image_raw", pairs.add_right)
         for name, act in (("calibrate", self._calibrate), ("save", self._save), ("commit", self._commit)):
-            self.create_service(Trigger, f"~/{name}", self._answering(act))
+            self.create_service(Trigger, f"~/{name}", self._service(act))
         self._newest: queue.Queue[tuple[Any, Any] | None] = queue.Queue(1)
         self._worker = threading.Thread(target=self._work, name="board", daemon=True)
         self._worker.start()
-        self._say("waiting for images")
+        self._report("waiting for images")
         self.stay_awake()
 
     def destroy_node(self) -> None:
@@ -87,7 +89,7 @@ class CalibrationNode(StereoNode):
         self._replace_newest((left, right))
 
     def _replace_newest(self, item: tuple[Any, Any] | None) -> None:
-        """What waits is older: it is dropped."""
+        """A waiting pair is older and is dropped."""
         while True:
             try:
                 self._newest.put_nowait(item)
@@ -95,7 +97,7 @@ class CalibrationNode(StereoNode):
             except queue.Full:
                 try:
                     self._newest.get_nowait()
-                    self.diagnostics.counters["pairs passed over"] += 1
+                    self.diagnostics.counters["pairs skipped"] += 1
                 except queue.Empty:
                     pass
 
@@ -109,57 +111,57 @@ class CalibrationNode(StereoNode):
             decode_from(self, f"{side}/image_raw", message) for side, message in (("left", left), ("right", right))
         ]
         grays = [to_gray(frame) for frame in frames]
-        with self._lock, self.diagnostics.timed("look for the board"):
+        with self._lock, self.diagnostics.timed("detect the board"):
             self._live.max_motion_px = self.parameters.get(CalibrationConfig).max_board_motion
-            look = self._live.look(f"{stamp_ns(left.header) / 1e9:.3f} s", *grays)
-            self._say(look.value)
-            if look is Look.TAKEN:
+            look = self._live.add(f"{stamp_ns(left.header) / 1e9:.3f} s", *grays)
+            self._report(look.value)
+            if look is ViewStatus.ADDED:
                 advice = "; ".join(self._live.advice) or "enough views: call ~/calibrate"
                 self.get_logger().info(f"view {len(self._live.views)} taken; {advice}")
             if self._overlay.wanted:
                 self._publish_overlay(frames[0], grays[0], look)
 
-    def _publish_overlay(self, frame: Frame, gray: U8, look: Look) -> None:
+    def _publish_overlay(self, frame: Frame, gray: U8, look: ViewStatus) -> None:
         live = self._live
         taken = [view.left.image_px for view in live.views]
         seen = live.seen.image_px if live.seen is not None else None
         image = operator_overlay(gray, taken, seen, live.coverage, look.value, live.advice)
         self._overlay.publish(image_message(self.types, image, "bgr8", frame.stamp_ns, frame.frame_id))
 
-    def _say(self, words: str) -> None:
+    def _report(self, outcome: str) -> None:
         """On /diagnostics."""
         coverage = self._live.coverage
         self.diagnostics.facts = {
             "views": str(len(self._live.views)),
             **{f"coverage {name}": f"{getattr(coverage, name):.2f}" for name in ("x", "y", "size", "skew")},
             "missing": "; ".join(self._live.advice) or "nothing: call ~/calibrate",
-            "newest pair": words,
-            "calibrated": "no" if self._live.result is None else _in_words(self._live.result),
+            "newest pair": outcome,
+            "calibrated": "no" if self._live.result is None else _summary(self._live.result),
         }
 
-    def _answering(self, act: Callable[[], str]) -> Callable[[Any, Any], Any]:
-        """A service callback: what the act says, or what stands in its way."""
+    def _service(self, act: Callable[[], str]) -> Callable[[Any, Any], Any]:
+        """A service callback whose response has the text of the act, or its error."""
 
-        def answer(_: Any, response: Any) -> Any:
+        def respond(_: Any, response: Any) -> Any:
             try:
                 with self._lock:
                     response.success, response.message = True, act()
             except StereoDepthError as error:
-                response.success, response.message = False, str(error)
+                response.success, response.message = False, error_text(error)
             if response.success:
                 self.get_logger().info(response.message)
             else:
                 self.get_logger().error(response.message)
             return response
 
-        return answer
+        return respond
 
     def _calibrate(self) -> str:
         result = self._live.calibrate()
-        self._say("calibrated")
+        self._report("calibrated")
         dropped = "".join(f"; {view.name} dropped: {view.reason}" for view in result.dropped)
-        better = "".join(f"; to do better: {text}" for text in self._live.advice)
-        return f"{_in_words(result)}{dropped}{better}"
+        better = "".join(f"; to improve it: {text}" for text in self._live.advice)
+        return f"{_summary(result)}{dropped}{better}"
 
     def _save(self) -> str:
         result, config = self._result(), self.parameters.get(CalibrationConfig)
@@ -168,13 +170,14 @@ class CalibrationNode(StereoNode):
         try:
             check_outputs([*calibration_files(folder), image], overwrite=overwrite)
         except OutputError as error:
-            raise OutputError(f"{error} (parameters calibration_folder, overwrite)") from error
+            error.settings = ("calibration_folder", "overwrite")
+            raise
         save_calibration(result, folder, overwrite=overwrite)
         save_png(image, coverage_plot(result), overwrite=overwrite)
         return f"left.yaml, right.yaml, calibration.json, .txt and coverage.png written to {folder.resolve()}"
 
     def _commit(self) -> str:
-        """By a node of its own: this one is busy with the answer. Nothing is sent before both drivers are there."""
+        """By a second node, as this one is busy with the service. Nothing is sent before both drivers are found."""
         rig = self._result().rig
         node = rclpy.create_node(f"{self.get_name()}_commit", context=self.context, use_global_arguments=False)
         executor = SingleThreadedExecutor(context=self.context)
@@ -186,19 +189,23 @@ class CalibrationNode(StereoNode):
                 self._send(executor, clients[1], rig.right)
             except CalibrationError as error:
                 raise CalibrationError(
-                    f"{error}; the left driver has its new camera info already: call ~/commit again before you use them"
+                    f"{error.problem}; the left driver has its new camera info already",
+                    subject=error.subject,
+                    remedy=f"{error.remedy}, and call ~/commit again before you use the cameras",
                 ) from error
         finally:
             executor.shutdown()
             node.destroy_node()
-        return "both drivers have taken their camera infos"
+        return "both drivers have accepted their camera infos"
 
     def _client(self, node: Any, service: str) -> Any:
         client = node.create_client(SetCameraInfo, service)
         if not client.wait_for_service(COMMIT_TIMEOUT_S):
             raise CalibrationError(
-                f"no service {service} within {COMMIT_TIMEOUT_S:g} s: start the camera driver, remap {service}, or "
-                "take the files of ~/save; nothing was committed"
+                f"no service within {COMMIT_TIMEOUT_S:g} s, nothing was committed",
+                subject=service,
+                limit=COMMIT_TIMEOUT_S,
+                remedy="start the camera driver, remap the service, or use the files of ~/save",
             )
         return client
 
@@ -209,17 +216,19 @@ class CalibrationNode(StereoNode):
         while not future.done() and time.monotonic() < end:
             executor.spin_once(timeout_sec=0.1)
         if not future.done():
-            raise CalibrationError(f"{service} gave no answer within {COMMIT_TIMEOUT_S:g} s: look at the driver's log")
+            raise CalibrationError(
+                f"no response within {COMMIT_TIMEOUT_S:g} s", subject=service, limit=COMMIT_TIMEOUT_S, remedy=_SEE_LOG
+            )
         if not future.result().success:
-            raise CalibrationError(f"{service} refused: {future.result().status_message}: look at the driver's log")
+            raise CalibrationError(f"refused, {future.result().status_message}", subject=service, remedy=_SEE_LOG)
 
     def _result(self) -> StereoCalibration:
         if self._live.result is None:
-            raise CalibrationError("there is no calibration yet: call ~/calibrate first")
+            raise CalibrationError("there is no calibration yet", remedy="call ~/calibrate first")
         return self._live.result
 
 
-def _in_words(result: StereoCalibration) -> str:
+def _summary(result: StereoCalibration) -> str:
     return (
         f"rms {result.rms_stereo_px:.3f} px, rows {result.epipolar_rms_px:.3f} px, baseline "
         f"{1e3 * result.baseline_m:.2f} mm, {len(result.views)} views"

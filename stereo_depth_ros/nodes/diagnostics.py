@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node says of itself: counters, throttled messages, stage timings, and a DiagnosticArray every second."""
+"""Diagnostics of a node: counters, throttled error messages, stage timings, and a DiagnosticArray every second."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.nodes.parameters import error_text
 
 __all__ = ["NodeDiagnostics"]
 
-_QUIET_S = 5.0  # the same complaint is logged at most once in this time
-_WINDOW = 100  # frames over which timings are told
+_QUIET_S = 5.0  # errors of one kind are logged at most once in this time
+_WINDOW = 100  # frames of the percentiles of timings
 
 
 class NodeDiagnostics:
-    """Counters and complaints of a node; a complaint is an error that is survived.
+    """Counters and errors of a node; reported errors do not end the node.
 
     Args:
         node: logs and publishes.
 
     Attributes:
         counters: by name.
-        facts: what else is published of the node, by name.
-        warning: what is not right though the node works; empty for nothing.
+        facts: further values to publish, by name.
+        warning: what is wrong though the node works; empty where nothing is.
     """
 
     def __init__(self, node: Node) -> None:
@@ -45,11 +46,11 @@ class NodeDiagnostics:
         self._last_error = ""
         self._unsaid: Counter[str] = Counter()
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # A steady clock: diagnostics go on while simulated time stands still.
+        # A steady clock: diagnostics continue while simulated time stands still.
         node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def report_error(self, kind: str, text: str) -> None:
-        """Count ``kind``; log the text, at most every five seconds a kind."""
+        """Count ``kind``; log the text, at most once in five seconds for each kind."""
         self.counters[kind] += 1
         self._last_error = text
         now = time.monotonic()
@@ -62,18 +63,18 @@ class NodeDiagnostics:
 
     @contextmanager
     def catch(self) -> Iterator[None]:
-        """Nothing that arrives may kill the node: what goes wrong inside becomes a complaint."""
+        """No message may end the node: errors inside are reported."""
         try:
             yield
         except StereoDepthError as error:
-            self.report_error(type(error).__name__, str(error))
+            self.report_error(type(error).__name__, error_text(error))
         except Exception as error:  # the boundary of the node
             if not self._node.context.ok():
                 return  # the node is shutting down: publishers are gone
             self.report_error("unexpected", f"unexpected {type(error).__name__}: {error}\n{traceback.format_exc()}")
 
     def timing(self, timings_ms: dict[str, float]) -> None:
-        """Keep the milliseconds of the stages of one frame."""
+        """Add the times of the stages of one frame, ms."""
         for stage, ms in timings_ms.items():
             self._timings_ms.setdefault(stage, deque(maxlen=_WINDOW)).append(ms)
 

@@ -26,9 +26,9 @@ __all__ = ["FeatureNode", "main"]
 
 
 class FeatureNode(StereoNode):
-    """Subscribes {left,right}/{image_rect,camera_info}, publishes features/points2: what matches, and nothing else.
+    """Subscribes {left,right}/{image_rect,camera_info}, publishes features/points2: matched features only.
 
-    The matcher is always ``features``, whatever stereo_algorithm says: one parameter file serves all nodes.
+    The matcher is always ``features``, not that of stereo_algorithm: one parameter file serves all nodes.
     """
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag through a live graph that is started for it: the nodes, the replay, and the end of both."""
+"""Starts the nodes, plays a bag through them, and stops them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["replay_through_graph"]
 
-# What the nodes of either shape subscribe, a camera.
+# Topics of a camera that the nodes of either shape subscribe.
 _CAMERA_INPUTS = ("camera_info", "image_raw", "image_raw/compressed", "image_rect", "image_rect_color")
 
 
@@ -36,10 +36,10 @@ def replay_through_graph(
     """Start the nodes, play, stop the nodes.
 
     Args:
-        options: what is played, and how.
+        options: what to play, and how.
         shape: "fused" or "separate".
         parameters: parameters of the nodes; image transport and simulated time are added.
-        config: what ``parameters`` and ``params_file`` come to.
+        config: of ``parameters`` and ``params_file``.
         progress: called with pairs sent and pairs to send (at most).
         params_file: a ROS parameter file for the nodes.
         health: see :class:`GraphProcesses`.
@@ -47,7 +47,7 @@ def replay_through_graph(
     Raises:
         BagError, TopicError: nothing to play; before any node is started.
         OutputError: the output must not or cannot be written.
-        GraphError: a node ended, or nothing comes out.
+        GraphError: a node ended, or no output arrives.
     """
     check_recording(options)
     with BagPairs(options.selection, config.pairing) as pairs:
@@ -67,6 +67,6 @@ def replay_through_graph(
 
 
 def _reliable_inputs() -> dict[str, str]:
-    """Overrides that make every subscription reliable: nothing is lost even without the transport profile."""
+    """Overrides that make every subscription reliable: no message is lost, even without the transport profile."""
     sides = [f"/{side}/{name}" for side in ("left", "right") for name in _CAMERA_INPUTS]
     return {f"qos_overrides.{topic}.subscription.reliability": "reliable" for topic in (*sides, "/disparity")}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The message classes of rclpy, behind the factory through which every message is built."""
+"""The message classes of rclpy, behind the factory that builds every message."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField, RegionOfInterest
 from std_msgs.msg import Header
 from stereo_msgs.msg import DisparityImage
 
+from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.types import F64, U8
 
 __all__ = ["RclpyTypes", "message_class"]
@@ -55,3 +58,20 @@ class RclpyTypes:
     def float64s(self, values: F64) -> Any:
         """A float64[] field."""
         return array.array("d", values.tolist())
+
+    def deserialize(self, data: bytes, typename: str) -> Any:
+        """The message in CDR bytes.
+
+        Args:
+            data: CDR bytes with their encapsulation header.
+            typename: for example "sensor_msgs/msg/Image".
+
+        Raises:
+            MessageError: bytes that are not a message of this type.
+        """
+        try:
+            return deserialize_message(data, message_class(typename))
+        except rclpy_implementation.RMWError as error:
+            raise MessageError(
+                f"{len(data)} bytes are not a {typename}", value=len(data), remedy="check the type of the topic"
+            ) from error

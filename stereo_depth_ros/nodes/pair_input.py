@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two topics whose messages belong together by their stamps."""
+"""Pairs the messages of two topics by their stamps; adds and decodes image inputs."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ __all__ = ["PairInput", "add_image_input", "decode_from", "decode_side"]
 
 
 class PairInput:
-    """Pairs the messages of two topics; image bytes are not looked at before a pair exists.
+    """Pairs the messages of two topics; images are not decoded before a pair exists.
 
     Args:
-        node: counts what is paired and dropped.
-        left, right: topics; only for messages.
+        node: counts pairs and dropped messages.
+        left, right: topics, for diagnostics.
         on_pair: called with each pair, in the order of stamps.
     """
 
@@ -35,7 +35,7 @@ class PairInput:
         self._topics = (left, right)
         self._on_pair = on_pair
         self._backwards = 0
-        # What comes after a rest is another stream: its stamps may lie before those of the last one.
+        # After an idle time it is another stream: its stamps may be earlier than those of the last one.
         node.on_idle.append(self._pairing.flush)
 
     def add_left(self, message: Any) -> None:
@@ -64,15 +64,15 @@ class PairInput:
             topics = ", ".join(self._node.resolve_topic_name(topic) for topic in self._topics)
             self._node.diagnostics.report_error(
                 "stamps went backwards",
-                f"{topics}: stamps went backwards; what waited was dropped, pairing begins anew: "
-                "expected when a bag starts again, else check the clock of the camera driver",
+                f"{topics}: stamps went backwards, waiting messages were dropped: expected when a bag starts again, "
+                "else check the clock of the camera driver",
             )
 
 
 def add_image_input(
     node: StereoNode, topic: str, callback: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True
 ) -> None:
-    """Subscribe an image topic as image_transport says: raw, or compressed with its suffix."""
+    """Subscribe an image topic by image_transport: raw, or compressed with its suffix."""
     if node.parameters.get(PairingConfig).image_transport == "compressed":
         node.add_input(CompressedImage, f"{topic}/compressed", callback, wanted)
     else:
@@ -80,12 +80,12 @@ def add_image_input(
 
 
 def decode_from(node: StereoNode, topic: str, message: Any) -> Frame:
-    """The frame in an Image or CompressedImage; MessageError names the topic as it is in the graph."""
+    """The frame in an Image or CompressedImage; MessageError with the resolved topic."""
     return decode(message, node.resolve_topic_name(topic))
 
 
 def decode_side(node: StereoNode, side: str, topic: str, message: Any, rig: StereoRig) -> Frame:
-    """The frame of a camera ("left" or "right"); CalibrationError where it is not what the camera infos say."""
+    """The frame of a camera ("left" or "right"); CalibrationError where the camera infos differ."""
     frame = decode_from(node, topic, message)
     resolved = node.resolve_topic_name(topic)
     rig.check_side(side, frame.frame_id, resolved)

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Configs as ROS parameters: declared from their metadata, checked, and changed while running."""
+"""Configs as ROS parameters: declared from their metadata, checked, and changed at run time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -13,13 +14,23 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos, replace_checked, unknown_parameter
-from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.errors import ConfigError, StereoDepthError
 
-__all__ = ["NodeParameters"]
+__all__ = ["NodeParameters", "error_text"]
 
 ConfigT = TypeVar("ConfigT")
 
-# Parameters that rclpy itself knows.
+# Parameters by the names that errors use: the parameter, or the field of its config.
+_PARAMETERS: Mapping[str, str] = {
+    **{
+        key: info.name
+        for config in CONFIGS.values()
+        for info in parameter_infos(config)
+        for key in (info.field, info.name)
+    },
+    "matcher": "stereo_algorithm",
+}
+# Parameters of rclpy
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
 _QOS_OVERRIDES = "qos_overrides."
 _QOS_POLICIES = {"reliability": ReliabilityPolicy, "durability": DurabilityPolicy, "history": HistoryPolicy}
@@ -33,8 +44,8 @@ class NodeParameters:
         configs: config classes of the stages this node runs.
 
     Raises:
-        ConfigError: a value given at start has a wrong type or range, or a name is unknown to every stage;
-            a QoS override names no policy.
+        ConfigError: a value given at start has a wrong type or range, no stage has a parameter of that name, or a QoS
+            override is not a policy.
     """
 
     def __init__(self, node: Node, *configs: type) -> None:
@@ -53,12 +64,12 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._on_set)
 
     def require(self, config: type[ConfigT], check: Callable[[ConfigT], object]) -> None:
-        """Calls ``check`` now and before every change of ``config``; it raises ConfigError to refuse the change."""
+        """Calls ``check`` now and before every change of ``config``; it raises ConfigError to refuse a change."""
         check(self.get(config))
         self._checks[config] = check
 
     def get(self, config: type[ConfigT]) -> ConfigT:
-        """The config as it is now; another object after a change."""
+        """The current config; another object after a change."""
         return self._configs[config]  # type: ignore[no-any-return]
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -71,11 +82,23 @@ class NodeParameters:
             for config, value in changed.items():
                 self._checks.get(config, lambda _: None)(value)
         except ConfigError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=error_text(error))
         if changed:
             self._configs |= changed
             self.on_change()
         return SetParametersResult(successful=True)
+
+
+def error_text(error: StereoDepthError, parameters: Mapping[str, str] = _PARAMETERS) -> str:
+    """An error as a node reports it: with the parameters that its remedy is about, unless the text names them.
+
+    Args:
+        parameters: name of the parameter by name of the setting.
+    """
+    text = str(error)
+    names = [parameters[setting] for setting in error.settings if setting in parameters]
+    missing = [name for name in names if not re.search(rf"(?<![\w-]){name}\b", text)]
+    return f"{text} (parameter{'s' * (len(missing) > 1)}: {', '.join(missing)})" if missing else text
 
 
 def _names(config: type) -> set[str]:
@@ -83,7 +106,7 @@ def _names(config: type) -> set[str]:
 
 
 def _refuse_unknown(overrides: dict[str, Any]) -> None:
-    """One parameter file serves all nodes: refused is only what no stage knows."""
+    """One parameter file serves all nodes: only names that no stage has are refused."""
     known = {*_ROS_OWN, *(name for config in CONFIGS.values() for name in _names(config))}
     for name in overrides:
         if name not in known and not name.startswith(_QOS_OVERRIDES):
@@ -91,12 +114,17 @@ def _refuse_unknown(overrides: dict[str, Any]) -> None:
 
 
 def _refuse_unknown_qos(overrides: dict[str, Any]) -> None:
-    """At start: rclpy would look at them when a topic is subscribed, which may be much later."""
+    """At start: rclpy would check them only when a topic is subscribed, which may be much later."""
     for name, value in overrides.items():
         policy = _QOS_POLICIES.get(name.rpartition(".")[2])
         if policy and name.startswith(_QOS_OVERRIDES) and str(value).lower() not in policy.short_keys():
+            keys = policy.short_keys()
             raise ConfigError(
-                f"parameter {name} = {value!r} is none of {', '.join(policy.short_keys())}: take one of them"
+                f"parameter {name} = {value!r} is not one of {', '.join(keys)}",
+                value=value,
+                limit=tuple(keys),
+                remedy="use one of them",
+                settings=(name,),
             )
 
 

@@ -29,7 +29,7 @@ _COLOR = "left/image_rect_color"
 class PointCloudNode(StereoNode):
     """Subscribes disparity, left/image_rect_color and {left,right}/camera_info, publishes points2.
 
-    While use_color is false no image is waited for.
+    While use_color is false it does not wait for an image.
     """
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class PointCloudNode(StereoNode):
     def _publish(self, disparity: Any, image: Any, rig: StereoRig) -> None:
         layout, topic = CloudLayout.of(self._config), self.resolve_topic_name("disparity")
         if image is None and layout.rgb_offset is not None:
-            return  # use_color was switched on between
+            return  # use_color was switched on meanwhile
         color = None if image is None else decode_from(self, _COLOR, image)
         with self.diagnostics.timed("cloud"):
             disparity_px = published_disparity(disparity, topic)

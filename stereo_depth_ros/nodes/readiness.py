@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The signal that a node is ready: the number of its process, latched on ~/ready."""
+"""The readiness of a node: the number of its process, latched on ~/ready."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from stereo_depth_ros.core.errors import GraphError
 __all__ = ["announce_ready", "wait_until_ready"]
 
 _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_TIMEOUT_S = 30.0  # since the last sign of progress
+_TIMEOUT_S = 30.0  # since the last progress
 
 
 def announce_ready(node: Node) -> None:
-    """Publish on ``~/ready``, a latched std_msgs/Int64, that this process takes messages from now on."""
+    """Publish on ``~/ready``, a latched std_msgs/Int64, that this process receives messages from now on."""
     node.create_publisher(Int64, "~/ready", _LATCHED).publish(Int64(data=os.getpid()))
 
 
@@ -35,12 +35,12 @@ def wait_until_ready(
     check: Callable[[], None],
     timeout_s: float = _TIMEOUT_S,
 ) -> None:
-    """Wait for the signal of every process; nodes of the same names may run in this domain already.
+    """Wait until every process is ready; other nodes of these names may run in this domain.
 
     Args:
         processes: number of the process by name of the node, in the root namespace.
-        progress: what changes while a process starts, such as the length of its log (kernels are compiled at the very
-            first start); the time-out counts from the last change.
+        progress: a value that changes while a process starts, such as the length of its log (the first start compiles
+            kernels); the timeout counts from the last change.
         check: called many times a second; raises where a process has ended.
 
     Raises:
@@ -68,8 +68,10 @@ def wait_until_ready(
                 seen, changed_at = now, time.monotonic()
             if time.monotonic() - changed_at > timeout_s:
                 raise GraphError(
-                    f"{', '.join(waiting)}: not ready, and nothing has changed for {timeout_s:g} s: read the log of "
-                    "the node, and check that ROS_DOMAIN_ID is the same"
+                    f"not ready, and nothing has changed for {timeout_s:g} s",
+                    subject=", ".join(waiting),
+                    limit=timeout_s,
+                    remedy="read the log of the node, and check that ROS_DOMAIN_ID is the same",
                 )
     finally:
         node.destroy_node()

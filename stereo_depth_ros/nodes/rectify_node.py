@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rectifies each camera as its image arrives: left, right image_raw to image_rect (gray) and image_rect_color."""
+"""Rectifies each image on arrival: left, right image_raw to image_rect (gray) and image_rect_color."""
 
 from __future__ import annotations
 

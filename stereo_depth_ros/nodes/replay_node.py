@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plays a stereo bag through the live graph and records what comes out; a node, and a call for programs."""
+"""Plays a stereo bag through the live graph and records the outputs; a node, and a function for programs."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
 from stereo_depth_ros.core.errors import BagError, GraphError, StereoDepthError
 from stereo_depth_ros.evaluation.bag_score import score_disparity
+from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
 from stereo_depth_ros.nodes.replay.player import Player
 from stereo_depth_ros.nodes.replay.recorder import Recorder
@@ -31,11 +32,17 @@ from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["check_recording", "main", "play", "replay"]
 
-_DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes tell their timings once a second
+_DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes publish their timings once a second
+# Parameters by the names that errors use
+_PARAMETERS = {
+    **{info.name: info.name for config in (ReplayOptions, PairingConfig) for info in parameter_infos(config)},
+    "left": "left_topic",
+    "right": "right_topic",
+}
 
 
 def _nothing(*_: Any) -> None:
-    """No progress is shown, nothing is checked."""
+    """No progress, no check."""
 
 
 def replay(
@@ -47,15 +54,15 @@ def replay(
     """Play a bag through the nodes that run in this ROS domain; rclpy is initialized for it and shut down after it.
 
     Args:
-        options: what is played, and how.
+        options: what to play, and how.
         progress: called with pairs sent and pairs to send (at most).
-        check: called many times a second; what it raises ends the replay.
+        check: called many times a second; ends the replay by raising.
         config: parameters of the nodes, for the pairing of the bag's images and for the record beside the outputs.
 
     Raises:
         BagError, TopicError: nothing to play.
         OutputError: the output exists and is not to be overwritten, or it is read, or it cannot be written.
-        GraphError: nobody subscribes an input or publishes an output, or nothing comes out.
+        GraphError: an input has no subscriber, an output no publisher, or no output arrives.
     """
     prepare_process()
     context = Context()
@@ -88,7 +95,7 @@ def play(
     progress: Callable[[int, int], None] = _nothing,
     check: Callable[[], None] = _nothing,
 ) -> RunReport:
-    """As :func:`replay`, with a node that is there already."""
+    """As :func:`replay`, with an existing node."""
     check_recording(options)
     with BagPairs(options.selection, config.pairing) as pairs:
         with Recorder(options.output_path, overwrite=options.overwrite) as recorder:
@@ -98,7 +105,7 @@ def play(
             try:
                 player.play(progress)
                 ports.await_diagnostics(_DIAGNOSTICS_TIMEOUT_S)
-                intruders = "; ".join(ports.intruders())  # one that came, or was discovered, while the bag played
+                intruders = "; ".join(ports.intruders())  # may be discovered only while the bag plays
             finally:
                 ports.close()
             _check_played(options, player, ports.errors_reported())
@@ -123,13 +130,19 @@ def play(
 def _check_played(options: ReplayOptions, player: Player, errors_reported: str) -> None:
     """Refuse to keep a recording without outputs."""
     if not player.sent:
-        raise BagError(f"{options.bag} has no pair from {options.start_seconds:g} s on: begin earlier, or read more")
+        raise BagError(
+            f"no pair after {options.start_seconds:g} s",
+            subject=options.bag,
+            remedy="begin earlier, or play more",
+            settings=("start_seconds", "duration_seconds"),
+        )
     if options.output_path is not None and not any(stats.received for stats in player.stats.values()):
-        raise GraphError(f"no output for all {player.sent} pairs: {errors_reported or 'the nodes complain of nothing'}")
+        reason = errors_reported or "the nodes report no error"
+        raise GraphError(f"no output for any of {player.sent} pairs", value=0, limit=player.sent, remedy=reason)
 
 
 def main() -> int:
-    """Run the node: play, log what became of it, end.
+    """Run the node: play, log the summary, end.
 
     Returns:
         0 after playing or a signal, 1 where the bag cannot be played, 3 where outputs were lost.
@@ -143,7 +156,7 @@ def main() -> int:
         node.get_logger().info(_summary(result))
         return 3 if result.lost and not result.realtime else 0
     except StereoDepthError as error:
-        get_logger("stereo_depth_ros").fatal(str(error))
+        get_logger("stereo_depth_ros").fatal(error_text(error, _PARAMETERS))
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0

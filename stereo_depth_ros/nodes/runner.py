@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs a node: transport first, then rclpy, until SIGINT or SIGTERM; exit code 0 then, 1 where it cannot start."""
+"""Runs a node until SIGINT or SIGTERM, transport first, then rclpy; exit code 0 then, 1 where it cannot start."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from rclpy.node import Node
 from stereo_depth_ros.core.errors import GraphError, StereoDepthError
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.nodes.base import log_compilation
+from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.readiness import announce_ready
 from stereo_depth_ros.nodes.transport import prepare_process
 
@@ -28,21 +29,21 @@ RCLError = rclpy_implementation.RCLError
 
 
 def run(make_node: Callable[[], Node]) -> int:
-    """Make the node, spin it until a signal comes, shut down.
+    """Make the node, spin it until a signal, shut down.
 
     Returns:
         0 after SIGINT or SIGTERM, 1 where ROS refuses its arguments or the node its parameters or topics.
     """
     transport = prepare_process()
     interrupts: list[int] = []
-    # Python's own handler raises KeyboardInterrupt wherever it is, in the middle of rclpy's C++ too, where it is lost
-    # or becomes another error. rclpy shuts its context down by itself when a signal comes.
+    # Python's handler raises KeyboardInterrupt anywhere, in rclpy's C++ too, where it is lost or becomes another
+    # error. rclpy shuts its context down by itself on a signal.
     signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
     node = None
     try:
         _init()
         if interrupts:
-            return 0  # it came before rclpy listened
+            return 0  # before rclpy handled signals
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -51,14 +52,14 @@ def run(make_node: Callable[[], Node]) -> int:
         announce_ready(node)
         executor.spin()
     except StereoDepthError as error:
-        get_logger("stereo_depth_ros").fatal(str(error))
+        get_logger("stereo_depth_ros").fatal(error_text(error))
         return 1
     except ExternalShutdownException:
         pass
     except RCLError:
         if rclpy.ok():
             raise
-        # A signal came between two calls: the context is gone, and with it what was asked for.
+        # A signal between two calls: the context is shut down.
     finally:
         # Fast DDS 2.14 can hang while it deletes a participant, with the interpreter lock held: then the process ends,
         # with exit code 1 and the traceback, from a thread that needs no lock.
@@ -75,5 +76,5 @@ def _init() -> None:
         rclpy.init()
     except RCLError as error:
         raise GraphError(
-            f"ROS does not start: {error}: check what stands behind --ros-args, and ROS_DOMAIN_ID"
+            f"ROS does not start: {error}", remedy="check the arguments after --ros-args, and ROS_DOMAIN_ID"
         ) from error

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The whole path in one process: raw pairs in; rectified images, disparity, depth and points out."""
+"""The whole pipeline in one process: from raw pairs to rectified images, disparity, depth and points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["StereoDepthNode", "main"]
 
 
 class StereoDepthNode(StereoNode):
-    """Subscribes {left,right}/{image_raw,camera_info}, publishes what is subscribed of all outputs."""
+    """Subscribes {left,right}/{image_raw,camera_info}, publishes those of all outputs that are subscribed."""
 
     def __init__(self) -> None:
         super().__init__("stereo_depth_node", MatchingConfig, DepthConfig, CloudConfig)
@@ -31,7 +31,9 @@ class StereoDepthNode(StereoNode):
         self._pipeline: StereoPipeline | None = None
         self._messages = ResultMessages(self.types)
         self._calibration = CalibrationInput(self)
-        self._made = [(self.add_output(message_class(row.msgtype), row.topic), row.topic, row.build) for row in OUTPUTS]
+        self._results = [
+            (self.add_output(message_class(row.msgtype), row.topic), row.topic, row.build) for row in OUTPUTS
+        ]
         pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
         add_image_input(self, "left/image_raw", pairs.add_left)
         add_image_input(self, "right/image_raw", pairs.add_right)
@@ -42,19 +44,19 @@ class StereoDepthNode(StereoNode):
     def _process(self, left: Any, right: Any, rig: StereoRig) -> None:
         frames = [decode_side(self, e, f"{e}/image_raw", m, rig) for e, m in (("left", left), ("right", right))]
         result = self._pipeline_of(rig).process(StereoPair(*frames))
-        for output, topic, build in self._made:
+        for output, topic, build in self._results:
             if output.wanted:
                 start = time.perf_counter()
                 message = build(self._messages, result)
-                made = time.perf_counter()
+                built = time.perf_counter()
                 output.publish(message)
                 sent = time.perf_counter()
-                result.timings_ms[f"make {topic}"] = 1e3 * (made - start)
-                result.timings_ms[f"send {topic}"] = 1e3 * (sent - made)
+                result.timings_ms[f"make {topic}"] = 1e3 * (built - start)
+                result.timings_ms[f"send {topic}"] = 1e3 * (sent - built)
         self.diagnostics.timing(result.timings_ms)
 
     def _pipeline_of(self, rig: StereoRig) -> StereoPipeline:
-        """Made again when the rig changes; of a changed parameter only its stage is."""
+        """Rebuilt when the rig changes; for a changed parameter only its stage is rebuilt."""
         config = self._config()
         if self._pipeline is None or self._pipeline.rig is not rig:
             self._pipeline = StereoPipeline(config, rig)

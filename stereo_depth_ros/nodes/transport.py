@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes a process fit for large messages: a Fast DDS profile and malloc settings, unless the user has set their own."""
+"""Prepares a process for large messages: a Fast DDS profile and malloc settings, unless the user has set others."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ MALLOC_VARIABLE = "STEREO_DEPTH_MALLOPT"
 SHARED_MEMORY = Path("/dev/shm")
 SEGMENT_OVERHEAD = 1.1  # a segment of 128 MiB takes 134 MiB, measured with Fast DDS 2.14
 
-# Names and numbers of glibc's malloc.h. A buffer of an image or cloud that is returned to the system is paid for again
-# page by page at the next frame. The mmap threshold is the largest that glibc takes; it refuses more.
+# Names and numbers of glibc's malloc.h. A buffer of an image or cloud that is returned to the system costs page faults
+# again at the next frame. The mmap threshold is the largest that glibc accepts.
 MALLOC_OPTIONS = {
     "M_MMAP_THRESHOLD": (-3, 32 << 20),
     "M_TRIM_THRESHOLD": (-1, 1 << 30),
@@ -33,7 +33,7 @@ MALLOC_OPTIONS = {
 
 @dataclass(frozen=True)
 class Setting:
-    """Whether one setting was applied, and what was applied or why not, in words."""
+    """Whether a setting was applied, and a text on what was applied or why not."""
 
     applied: bool
     text: str
@@ -53,9 +53,9 @@ class TransportReport:
 def prepare_process() -> TransportReport:
     """Applies the Fast DDS profile and the malloc settings to this process; call it before ``rclpy.init()``.
 
-    The profile is left alone when the user chose one, other built-in transports or another middleware; the malloc
+    The profile is not set when the user chose one, other built-in transports or another middleware; the malloc
     settings when the user set ``MALLOC_*`` or ``GLIBC_TUNABLES``, or ``STEREO_DEPTH_MALLOPT=0``. Processes started
-    from this one inherit the profile, not the malloc settings. Calling twice does no harm.
+    from this one inherit the profile, not the malloc settings. It may be called more than once.
 
     Raises:
         ConfigError: the package is installed without its profile.
@@ -71,14 +71,16 @@ def profile_path() -> Path:
     """
     for path in installed_files("config/fastdds.xml"):
         return path
-    raise ConfigError(f"no config/fastdds.xml belongs to {__file__}: install the package again, with its share folder")
+    raise ConfigError(
+        "there is no config/fastdds.xml", subject=__file__, remedy="install the package again, with its share folder"
+    )
 
 
 def _set_profile(environment: MutableMapping[str, str]) -> Setting:
     profile = profile_path()
     reason = _reason_against_profile(environment, profile)
     if reason:
-        return Setting(False, f"Fast DDS profile left alone, {reason}")
+        return Setting(False, f"Fast DDS profile not set, {reason}")
     environment[PROFILE_VARIABLE] = str(profile)
     return Setting(True, f"Fast DDS profile {profile}")
 
@@ -118,11 +120,11 @@ def _reason_against_segment(profile: Path) -> str:
 def _set_malloc(environment: MutableMapping[str, str]) -> Setting:
     reason = _reason_against_malloc(environment)
     if reason:
-        return Setting(False, f"malloc left alone, {reason}")
+        return Setting(False, f"malloc not set, {reason}")
     mallopt = ctypes.CDLL(None).mallopt
     refused = [name for name, (number, value) in MALLOC_OPTIONS.items() if mallopt(number, value) != 1]
     if refused:
-        return Setting(False, f"malloc refused {', '.join(refused)}: buffers of images are mapped anew for every frame")
+        return Setting(False, f"malloc refused {', '.join(refused)}: image buffers are mapped again for every frame")
     return Setting(True, "malloc keeps large buffers")
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The preview image of a bag of outputs: its first left image beside the depth of the same stamp."""
+"""The preview of a bag of outputs: its first left image beside the depth of the same stamp."""
 
 from __future__ import annotations
 
@@ -50,9 +50,13 @@ def _first_pair(bag: Path) -> tuple[U8, F32]:
                     disparity_px = published_disparity(disparity, _DISPARITY)
                     pixels = frame.pixels[..., ::-1] if frame.encoding == "rgb8" else frame.pixels
                     return np.ascontiguousarray(pixels), depth_from_disparity(disparity_px, _published(disparity))
-    raise BagError(f"{bag} has no {_LEFT} with a {_DISPARITY} of the same stamp: make it with replay or process")
+    raise BagError(
+        f"no {_LEFT} with a {_DISPARITY} of the same stamp",
+        subject=str(bag),
+        remedy="use a bag that replay or process has written",
+    )
 
 
 def _published(message: Any) -> Triangulation:
-    """Z = f T / d, as holds of published disparities; X and Y are not asked for."""
+    """Z = f T / d, as for every published disparity; X and Y are not used."""
     return Triangulation(message.f, message.f, 0.0, 0.0, message.t, doffs_px=0.0)

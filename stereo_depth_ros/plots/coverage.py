@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An image of the views of a calibration: where the corners lay in both cameras, and how well each view fits."""
+"""Plots the views of a calibration: the corners in both cameras, and the reprojection error of each view."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from stereo_depth_ros.calibration.calibration_result import StereoCalibration, ViewFigures
+from stereo_depth_ros.calibration.calibration_result import StereoCalibration, ViewErrors
 from stereo_depth_ros.core.types import F64, U8
-from stereo_depth_ros.plots.drawing import FAINT, TEXT, Color, canvas, draw_text, round_ticks
+from stereo_depth_ros.plots.drawing import FAINT, TEXT, Color, canvas, draw_text, round_ticks, turbo
 
 __all__ = ["coverage_plot"]
 
@@ -20,9 +20,9 @@ _LEFT, _RIGHT = (232, 170, 90), (90, 170, 250)  # BGR; apart in lightness and fo
 
 
 def coverage_plot(calibration: StereoCalibration) -> U8:
-    """Both images with the corners of all views used, and the error of each view, uint8 (H', W', 3) BGR.
+    """The corners of all views used in both images, and the error of each view, uint8 (H', W', 3) BGR.
 
-    A corner has the color of its view's error, turbo (Mikhailov 2019) from 0 to the largest one of the views.
+    A corner has the color of its view's error: turbo from 0 to the largest error of the views.
     """
     width, height = calibration.size
     scale = _PANEL_WIDTH / width
@@ -50,21 +50,20 @@ def coverage_plot(calibration: StereoCalibration) -> U8:
 
 
 def _error_color(share: float) -> Color:
-    level = np.array([[round(255 * min(share, 1.0))]], np.uint8)
-    blue, green, red = (int(value) for value in cv2.applyColorMap(level, cv2.COLORMAP_TURBO)[0, 0])
+    blue, green, red = (int(value) for value in turbo(np.array([[min(share, 1.0)]], np.float32))[0, 0])
     return blue, green, red
 
 
 def _draw_corners(panel: U8, points: F64, color: Color) -> None:
-    """The corners, and the outline of them all."""
-    fixed = np.round(points * 16).astype(np.int32)
-    outline = cv2.convexHull(fixed)
+    """The corners and their convex hull."""
+    sixteenths = np.round(points * 16).astype(np.int32)
+    outline = cv2.convexHull(sixteenths)
     cv2.polylines(panel, [outline], True, FAINT, 1, cv2.LINE_AA, shift=4)
-    for x, y in fixed:
+    for x, y in sixteenths:
         cv2.circle(panel, (int(x), int(y)), 2 * 16, color, -1, cv2.LINE_AA, shift=4)
 
 
-def _draw_bars(panel: U8, views: tuple[ViewFigures, ...], largest: float) -> None:
+def _draw_bars(panel: U8, views: tuple[ViewErrors, ...], largest: float) -> None:
     """Root mean square error of each view, left and right side by side."""
     left_edge, pitch = 60, (panel.shape[1] - 60) / len(views)
     bar = max(1, min(18, int(0.4 * pitch)))

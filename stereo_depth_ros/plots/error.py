@@ -1,21 +1,30 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An image of how good disparities are: left image, truth, ours and the error of each pixel, with legends."""
+"""Plots disparities beside their truth: left image, truth, disparities and the error of each pixel, with legends."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F32, U8
-from stereo_depth_ros.plots.drawing import FAINT, TEXT, Color, canvas, draw_text, enlarged, round_ticks
+from stereo_depth_ros.plots.drawing import (
+    FAINT,
+    Color,
+    canvas,
+    draw_bar,
+    draw_color_bar,
+    draw_text,
+    enlarged,
+    round_ticks,
+    turbo,
+)
 
 __all__ = ["error_colors", "error_plot"]
 
 _PANEL_WIDTH = 560
 _MARGIN, _TITLE, _CAPTION, _LEGEND = 16, 36, 30, 150
-_BAR_WIDTH = 18
+_LABEL_X = 27  # of the error legend, from its bars
 _NO_TRUTH: Color = (60, 54, 50)
 _NO_DISPARITY: Color = (0, 0, 0)
 # blue to red (BGR), apart in lightness too
@@ -31,14 +40,14 @@ _CLASSES: tuple[tuple[float, str, Color], ...] = (
 def error_plot(left: U8, truth_px: F32, disparity_px: F32, title: str, caption: str) -> U8:
     """Two by two panels as a uint8 (H', W', 3) BGR image.
 
-    Truth and ours share one scale of colors, turbo (Mikhailov 2019) from the smallest to the largest true disparity;
-    what is unknown or invalid is black. The error has a color per class.
+    Truth and disparities share one turbo scale from the smallest to the largest true disparity; unknown and invalid
+    pixels are black. The error has a color per class.
 
     Args:
         left: uint8 (H, W) or (H, W, 3) BGR, the rectified left image.
         truth_px: float32 (H, W), px, NaN where unknown.
         disparity_px: float32 (H, W), px, NaN where invalid.
-        title: one line over all.
+        title: one line above.
         caption: one line below the error.
 
     Raises:
@@ -46,8 +55,8 @@ def error_plot(left: U8, truth_px: F32, disparity_px: F32, title: str, caption: 
     """
     if not left.shape[:2] == truth_px.shape == disparity_px.shape:
         raise ImageError(
-            f"left image {left.shape[:2]}, truth {truth_px.shape} and disparity {disparity_px.shape} differ in size: "
-            "take one pair"
+            f"left image {left.shape[:2]}, truth {truth_px.shape} and disparity {disparity_px.shape} differ in size",
+            remedy="use images of one pair",
         )
     low, high = _span(truth_px)
     panels = (
@@ -65,7 +74,9 @@ def error_plot(left: U8, truth_px: F32, disparity_px: F32, title: str, caption: 
         draw_text(image, text, (x, y + height + 20), color=FAINT)
     draw_text(image, title, (_MARGIN, 28), 0.65)
     x = 2 * width + 3 * _MARGIN
-    _draw_disparity_legend(image, x, _TITLE + _MARGIN // 2, height, low, high)
+    ticks = round_ticks(low, high, max(2, height // 50))
+    places = [((tick - low) / (high - low), f"{tick:g} px") for tick in ticks]
+    draw_color_bar(image, x, _TITLE + _MARGIN // 2, height, places)
     _draw_error_legend(image, x, _TITLE + _MARGIN // 2 + height + _CAPTION)
     return image
 
@@ -94,27 +105,13 @@ def _share(values: F32) -> float:
 
 
 def _disparity_colors(disparity_px: F32, low: float, high: float) -> U8:
-    valid = np.isfinite(disparity_px)
-    scaled = np.clip((np.where(valid, disparity_px, low) - low) / (high - low), 0, 1)
-    colors = np.asarray(cv2.applyColorMap((255 * scaled + 0.5).astype(np.uint8), cv2.COLORMAP_TURBO), np.uint8)
-    colors[~valid] = 0
-    return colors
-
-
-def _draw_disparity_legend(image: U8, x: int, top: int, height: int, low: float, high: float) -> None:
-    """A bar, the largest disparity at the top."""
-    levels = np.linspace(255, 0, height).astype(np.uint8)[:, None]
-    image[top : top + height, x : x + _BAR_WIDTH] = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
-    for tick in round_ticks(low, high, max(2, height // 50)):
-        y = top + round((high - tick) / (high - low) * (height - 1))
-        cv2.line(image, (x + _BAR_WIDTH, y), (x + _BAR_WIDTH + 4, y), FAINT, 1)
-        draw_text(image, f"{tick:g} px", (x + _BAR_WIDTH + 9, min(max(y + 5, top + 10), top + height)))
+    known_px = np.where(np.isfinite(disparity_px), disparity_px, np.float32(np.nan))
+    return turbo(np.clip((known_px - low) / (high - low), 0, 1))
 
 
 def _draw_error_legend(image: U8, x: int, top: int) -> None:
     classes = [(text, color) for _, text, color in _CLASSES]
     for row, (text, color) in enumerate([*classes, ("no disparity", _NO_DISPARITY), ("no truth", _NO_TRUTH)]):
         y = top + 24 * row
-        cv2.rectangle(image, (x, y), (x + _BAR_WIDTH, y + 16), color, -1)
-        cv2.rectangle(image, (x, y), (x + _BAR_WIDTH, y + 16), FAINT, 1)
-        draw_text(image, text, (x + _BAR_WIDTH + 9, y + 13), color=TEXT)
+        draw_bar(image, (x, y), color)
+        draw_text(image, text, (x + _LABEL_X, y + 13))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An image of how well rows agree: both rectified images side by side, lines across both."""
+"""Plots both rectified images side by side with horizontal lines across both, to compare their rows."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _COLORS: tuple[Color, ...] = ((90, 200, 250), (230, 190, 90), (130, 220, 130))
 
 
 def rows_plot(left: U8, right: U8, title: str) -> U8:
-    """Lines at equal distances that run on from the left into the right image: the same things lie on them.
+    """Equidistant horizontal lines across both images: corresponding points lie on the same line.
 
     Args:
         left, right: uint8 (H, W) or (H, W, 3) BGR, rectified.
-        title: one line over both.
+        title: one line above.
 
     Returns:
         uint8 (H', W', 3), BGR.

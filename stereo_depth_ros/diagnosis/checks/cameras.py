@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of one camera: every fault is told, not the first one only.
+"""Checks of one camera: all faults, not only the first one.
 
-What makes a camera usable is decided by the functions that the nodes call. They stop at the first fault; here they are
-called once for each part, with all other parts replaced by ones that pass.
+The checks are those of the nodes, which stop at the first fault; here they are called once for each part, with all
+other parts replaced by valid ones.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from stereo_depth_ros.diagnosis.finding import Finding, Level
 
 __all__ = ["check_camera", "check_resolution", "fits_image"]
 
-FAR_FROM_CENTER = (0.7, 1.4)  # 2 cx / width: lenses and usual crops stay within it, half and double resolution do not
-SAME_SCALE = 1.15  # both axes ask for the same resolution within this factor
+FAR_FROM_CENTER = (0.7, 1.4)  # 2 cx / width: lenses and usual crops are within, half and double resolution are not
+SAME_SCALE = 1.15  # the resolutions of both axes agree within this factor
 SCALES = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 2, 2.0, 3.0, 4.0)
 FIELD_OF_VIEW_DEG = {"pinhole": (8.0, 140.0), "equidistant": (20.0, 230.0)}
 MAX_ASPECT = 1.25  # of fx and fy; pixels are nearly square
@@ -29,24 +29,20 @@ _ANY_MATRIX = np.identity(3)
 
 
 def check_camera(camera: CameraModel, side: str) -> list[Finding]:
-    """Size, K, distortion, R and P of one camera, each for itself.
-
-    Args:
-        camera: "left" or "right".
-    """
+    """Size, K, distortion, R and P of one camera, separately; ``side`` is "left" or "right"."""
     findings = []
     for name, check, alone, value, limit in _parts(camera):
         try:
             check(alone, side)
         except CalibrationError as error:
-            findings.append(_camera_fault(camera, f"{side} {name}", name, error, side, limit))
+            findings.append(_camera_fault(camera, f"{side} {name}", name, error, limit))
         else:
             findings.append(Finding(f"{side} {name}", Level.OK, value, limit))
     return findings
 
 
 def _parts(camera: CameraModel) -> Iterator[tuple[str, Callable[[CameraModel, str], None], CameraModel, str, str]]:
-    """Name, check, the camera with only that part its own, what it says, what it is held against."""
+    """Name, check, the camera with all other parts valid, value, limit."""
     K, P = camera.K, camera.P
     bare = replace(camera, width=1, height=1, distortion_model="plumb_bob", D=np.zeros(0), K=_ANY_MATRIX)
     size = replace(bare, width=camera.width, height=camera.height)
@@ -57,7 +53,7 @@ def _parts(camera: CameraModel) -> Iterator[tuple[str, Callable[[CameraModel, st
     yield "distortion", check_intrinsics, distortion, text, "a known model"
     angle_deg = np.degrees(np.arccos(np.clip((np.trace(camera.R) - 1) / 2, -1, 1)))
     R_alone = replace(camera, P=np.identity(4)[:3])
-    yield "R", check_rectification, R_alone, f"turns by {angle_deg:.2f} deg", "a rotation"
+    yield "R", check_rectification, R_alone, f"rotation of {angle_deg:.2f} deg", "a rotation"
     yield "P", check_rectification, replace(camera, R=_ANY_MATRIX), _projection(P), "a projection"
 
 
@@ -65,15 +61,12 @@ def _projection(matrix: F64) -> str:
     return f"f {matrix[0, 0]:.1f}, {matrix[1, 1]:.1f}, center {matrix[0, 2]:.1f}, {matrix[1, 2]:.1f} px"
 
 
-def _camera_fault(
-    camera: CameraModel, check: str, name: str, error: CalibrationError, label: str, limit: str
-) -> Finding:
+def _camera_fault(camera: CameraModel, check: str, name: str, error: CalibrationError, limit: str) -> Finding:
     if name == "P" and _is_intrinsics_times_rotation(camera):
-        value = "P is K R, which is no projection of a rectified image"
-        again = f"`stereo-depth calibrate --model {camera.distortion_model}`"
-        remedy = f"calibrate again with {again}: some tools write K R for a fisheye"
+        value = "P is K R, which is not the projection of a rectified image"
+        remedy = f"calibrate again with the lens model {camera.distortion_model}: some tools write K R for a fisheye"
         return Finding(check, Level.ERROR, value, limit, remedy)
-    return Finding.refused(check, error, label, limit)
+    return Finding.refused(check, error, limit)
 
 
 def _is_intrinsics_times_rotation(camera: CameraModel) -> bool:
@@ -88,7 +81,7 @@ def check_resolution(camera: CameraModel, side: str, width: int, height: int) ->
     same factor.
 
     Args:
-        width, height: of the images as they come, px.
+        width, height: of the images as published, px.
     """
     sized = replace(camera, width=width, height=height)
     return [_check_center(sized, side), _check_field_of_view(sized, side)]

@@ -18,10 +18,10 @@ from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 
 __all__ = ["check_camera_order", "check_depths"]
 
-BEHIND_PX = 1.0  # a disparity so far below infinity is none of noise
+BEHIND_PX = 1.0  # a disparity this far below infinity is not noise
 MOSTLY = 0.5
-SEARCH_MARGIN = 0.15  # of the disparities seen, for what comes nearer
-FREE_PX = 16  # as many more disparities, down to infinity, are searched without being asked for
+SEARCH_MARGIN = 0.15  # of the disparities seen, for what is nearer
+FREE_PX = 16  # up to this many more disparities, down to infinity, are searched anyway
 
 
 def check_camera_order(
@@ -31,13 +31,14 @@ def check_camera_order(
     doffs_px: float,
     columns_fit: bool,
 ) -> Finding:
-    """Whether left is left: what is seen lies in front of the cameras, in the images as given.
+    """Whether left and right are in order: the features lie in front of the cameras.
 
     Args:
-        given: rectified images, and ``matching`` their features.
-        exchanged: rectifies the images the other way round.
+        given: rectified images.
+        matching: of their features.
+        exchanged: rectifies the images with left and right exchanged.
         doffs_px: disparity of infinity, px.
-        columns_fit: the camera infos say themselves that left is left.
+        columns_fit: the camera infos are in order.
     """
     check, limit = "order of the cameras", f"up to {100 * MOSTLY:.0f} % behind infinity"
     behind = _share_behind(matching, doffs_px)
@@ -56,50 +57,47 @@ def check_camera_order(
         try:
             _check_order(given, exchanged, doffs_px)
         except ImageError as error:
-            return Finding.refused(check, error, "", limit)
+            return Finding.refused(check, error, limit)
     if len(matching) < MIN_MATCHES:
         return replace(too_few(check, matching), remedy="")
     return Finding(check, Level.OK, value, limit, "", figures)
 
 
 def _share_behind(matching: RowMatching, doffs_px: float) -> float:
-    """Share of the features that would lie behind infinity, 0..1."""
+    """Share of the features behind infinity, 0..1."""
     return float((matching.disparity_px < doffs_px - BEHIND_PX).mean()) if len(matching) else 0.0
 
 
 def _check_order(given: ImageArrayPairs, exchanged: Callable[[], ImageArrayPairs], doffs_px: float) -> None:
-    """As the nodes do, on the first pair."""
+    """The check of the nodes, on the first pair."""
     CameraSwapDetector(doffs_px).check(*given[0], lambda: exchanged()[0])
 
 
 def check_depths(matching: RowMatching, rig: StereoRig, real_baseline: bool) -> Iterable[Finding]:
-    """Disparities and depths of the features, and the search that covers them; nothing where the rows do not fit."""
+    """Disparities and depths of the features, and the search range that covers them; nothing where rows do not fit."""
     disparity = matching.disparity_px
     seen = disparity[disparity > rig.doffs_px]
     if not matching.fits or seen.size < MIN_MATCHES:
         return
     low, high = (float(value) for value in np.percentile(seen, (0.5, 99.5)))
     first, count = _search(low, high, rig.doffs_px)
-    value = f"{low:.1f}..{high:.1f} px, to be searched from {first} to {first + count - 1}"
+    value = f"{low:.1f}..{high:.1f} px, search from {first} to {first + count - 1}"
     figures: dict[str, float | None] = {
         "low_px": low,
         "high_px": high,
-        "min_disparity": first,
-        "disparity_range": count,
     }
+    settings = {"min_disparity": first, "disparity_range": count}
     limit = f"half the width, {rig.width // 2} px"
     if first + count > rig.width // 2:
-        remedy = "the scene is too near for this rig: step back, or take a smaller baseline"
-        yield Finding("disparities", Level.WARNING, value, limit, remedy, figures)
+        remedy = "the scene is too near for this rig: step back, or use a smaller baseline"
+        yield Finding("disparities", Level.WARNING, value, limit, remedy, figures, settings)
     else:
-        yield Finding("disparities", Level.OK, value, limit, "", figures)
+        yield Finding("disparities", Level.OK, value, limit, "", figures, settings)
     if real_baseline:
         depth_m = rig.f_px * rig.baseline_m / (seen - rig.doffs_px)
         near_m, far_m = (float(value) for value in np.percentile(depth_m, (2, 98)))
         figures = {"near_m": near_m, "far_m": far_m}
-        yield Finding(
-            "depths of the features", Level.OK, f"{near_m:.2f}..{far_m:.2f} m", "see whether it is so", "", figures
-        )
+        yield Finding("depths of the features", Level.OK, f"{near_m:.2f}..{far_m:.2f} m", "plausible", "", figures)
 
 
 def _search(low: float, high: float, doffs_px: float) -> tuple[int, int]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the images as they came: empty, black, saturated, or the same one twice."""
+"""Checks of the images as published: empty, black, saturated, or the same image twice."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from stereo_depth_ros.diagnosis.finding import Finding, Level
 
 __all__ = ["check_exposure", "check_two_cameras"]
 
-BLACK, WHITE = 16, 250  # gray values; noise and stray light stay below, a sensor at its end comes above
+BLACK, WHITE = 16, 250  # gray values; noise and stray light stay below, a saturated sensor above
 MAX_WHITE, ALL_WHITE = 0.2, 0.9  # share of pixels
 MIN_CONTRAST = 3.0  # standard deviation of gray values; the noise of a sensor alone is about that
 
 
 def check_exposure(images: Sequence[U8], side: str) -> Finding:
-    """Whether the images of a camera show something; medians over them.
+    """Whether the images of a camera are well exposed; medians over them.
 
     Args:
         images: uint8 (H, W), gray, at least one.
@@ -32,19 +32,19 @@ def check_exposure(images: Sequence[U8], side: str) -> Finding:
     limit = f"contrast {MIN_CONTRAST:g}, {100 * MAX_WHITE:.0f} % saturated"
     level, remedy = Level.OK, ""
     if bright < BLACK:
-        level, remedy = Level.ERROR, "black: take the cap off the lens, expose longer, or light the scene"
+        level, remedy = Level.ERROR, "black: remove the lens cap, expose longer, or light the scene"
     elif white > ALL_WHITE:
-        level, remedy = Level.ERROR, "white: expose shorter, or switch automatic exposure on"
+        level, remedy = Level.ERROR, "white: reduce the exposure, or switch automatic exposure on"
     elif contrast < MIN_CONTRAST:
-        level, remedy = Level.ERROR, "empty: check focus and cap of the lens, and the encoding that the driver says"
+        level, remedy = Level.ERROR, "empty: check focus and lens cap, and the encoding that the driver publishes"
     elif white > MAX_WHITE:
-        level, remedy = Level.WARNING, "saturated pixels do not match: expose shorter"
+        level, remedy = Level.WARNING, "saturated pixels do not match: reduce the exposure"
     figures = {"mean": mean, "contrast": contrast, "saturated": white}
     return Finding(f"{side} image", level, value, limit, remedy, figures)
 
 
 def check_two_cameras(left: Sequence[U8], right: Sequence[U8]) -> Finding:
-    """Whether the images of each pair have one size, and come from two cameras."""
+    """Whether the images of each pair have the same size, and are of two cameras."""
     check, limit = "two cameras", "two images of one size"
     sizes = {(one.shape, other.shape) for one, other in zip(left, right, strict=True)}
     for one, other in sizes:

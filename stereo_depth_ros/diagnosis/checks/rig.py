@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of two cameras together and with their images: every fault is told, not the first one only.
+"""Checks of two cameras together and with their images: all faults, not only the first one.
 
-What makes a rig usable is decided by :class:`StereoRig`, as in the nodes. It stops at the first fault; here one is made
-for each part, with all other parts replaced by ones that pass.
+The checks are those of :class:`StereoRig`, as in the nodes, which stops at the first fault; here a rig is constructed
+for each part, with all other parts replaced by valid ones.
 """
 
 from __future__ import annotations
@@ -22,23 +22,21 @@ from stereo_depth_ros.diagnosis.finding import Finding, Level
 
 __all__ = ["check_frame", "check_frame_names", "check_image_size", "check_pair", "rectification_rig"]
 
-WIDE_BASELINE_M = 1.5  # few rigs are wider, and a small one whose centimeters are read as meters is
-FULL_SIZE_MM = 20.0  # a baseline that is read as more meters than this was millimeters, else centimeters
+WIDE_BASELINE_M = 1.5  # few rigs are wider; a small one with centimeters taken for meters is
+FULL_SIZE_MM = 20.0  # a baseline of more meters than this was in millimeters, else in centimeters
 _EXAMPLE_BASELINE_M = 0.1
-_LABELS = ("left camera", "right camera")  # what a rig without topics calls its cameras in errors
 _ANY_MATRIX = np.identity(3)
 _SIGN = "right P[0,3]"
 
 
 def check_pair(left: CameraModel, right: CameraModel) -> list[Finding]:
-    """Sizes, focal lengths, rows, and the baseline of two cameras whose P are usable, each for itself."""
+    """Sizes, focal lengths, rows, and the baseline of two cameras whose P are usable, separately."""
     findings = []
     for name, rig_cameras, value, limit in _pair_parts(left, right):
         try:
             StereoRig(*rig_cameras)
         except CalibrationError as error:
-            label = next((label for label in _LABELS if str(error).startswith(f"{label}: ")), "")
-            refused = Finding.refused(name, error, label, limit, _remedy(name, left, right))
+            refused = Finding.refused(name, error, limit, _remedy(name, left, right))
             findings.append(replace(refused, figures={"value": float(right.P[0, 3])}) if name == _SIGN else refused)
         else:
             findings.append(_wide(right.P, limit) if name == "baseline" else Finding(name, Level.OK, value, limit))
@@ -46,17 +44,17 @@ def check_pair(left: CameraModel, right: CameraModel) -> list[Finding]:
 
 
 def _remedy(name: str, left: CameraModel, right: CameraModel) -> str:
-    """A better one than that of the error; empty where there is none."""
+    """A better remedy than that of the error; empty where there is none."""
     equal = all(np.array_equal(getattr(left, part), getattr(right, part)) for part in ("K", "D", "R", "P"))
     if name == _SIGN and equal:
-        return "both camera infos are equal: give the right camera its own, P[0,3] is -fx * baseline in it"
+        return "both camera infos are equal: give the right camera its calibration, P[0,3] is -fx * baseline in it"
     return _unit_remedy(right.P) if name == "baseline" else ""
 
 
 def _pair_parts(
     left: CameraModel, right: CameraModel
 ) -> Iterator[tuple[str, tuple[CameraModel, CameraModel], str, str]]:
-    """Name, a rig with only that part of the cameras' own, what it says, what it is held against."""
+    """Name, two cameras with all other parts valid, value, limit."""
     P = left.P[:, :3]
     sizes = f"{left.width}x{left.height}, {right.width}x{right.height}"
     yield "sizes", (_plain(left, P), _plain(right, P, _EXAMPLE_BASELINE_M)), sizes, "equal"
@@ -90,14 +88,14 @@ def _baseline_parts(right: CameraModel) -> Iterator[tuple[str, tuple[CameraModel
 
 
 def _plain(camera: CameraModel, P: F64, baseline_m: float = 0.0) -> CameraModel:
-    """A camera of the same size that passes: no distortion, rectified, its P from (3, 3)."""
+    """A valid camera of the same size: no distortion, rectified, P from float64 (3, 3)."""
     fourth = [-P[0, 0] * baseline_m, 0.0, 0.0]
     P = np.column_stack([P, fourth])
     return CameraModel(camera.width, camera.height, "plumb_bob", _ANY_MATRIX, np.zeros(0), _ANY_MATRIX, P)
 
 
 def _unit_remedy(P: F64) -> str:
-    """What the number was probably meant to be."""
+    """The unit that was probably meant."""
     baseline_m, entry = abs(P[0, 3] / P[0, 0]), abs(P[0, 3])
     if baseline_m > MAX_BASELINE_M:
         unit, factor = ("millimeters", 1e-3) if baseline_m >= FULL_SIZE_MM else ("centimeters", 1e-2)
@@ -121,9 +119,9 @@ def _wide(P: F64, limit: str) -> Finding:
 
 
 def rectification_rig(left: CameraModel, right: CameraModel, topics: tuple[str, str]) -> tuple[StereoRig | None, str]:
-    """The rig to rectify images with, and why it is none that depth can be made with; empty where it is.
+    """The rig to rectify images with, and why it gives no depth; empty where it does.
 
-    The baseline moves no pixel: where only that is wrong the images can be looked at all the same.
+    The baseline moves no pixel: where only that is wrong the images can be examined all the same.
     """
     try:
         return StereoRig(left, right, topics), ""
@@ -141,7 +139,7 @@ def rectification_rig(left: CameraModel, right: CameraModel, topics: tuple[str, 
 def check_image_size(
     camera: CameraModel, sensor: tuple[int, int], width: int, height: int, side: str, topic: str
 ) -> Finding:
-    """Whether the images have the size that their camera info is for.
+    """Whether the images have the size of their camera info.
 
     Args:
         camera: after binning and roi.
@@ -152,26 +150,25 @@ def check_image_size(
     try:
         _rig_of(camera, camera).check_image(width, height, topic)
     except CalibrationError as error:
-        return Finding.refused(check, error, topic, limit, _size_remedy(camera, sensor, width, height))
+        return Finding.refused(check, error, limit, _size_remedy(camera, sensor, width, height))
     return Finding(check, Level.OK, f"{width}x{height}", limit)
 
 
 def check_frame(left: CameraModel, right: CameraModel, side: str, frame_id: str, topic: str) -> Finding:
-    """Whether an image carries the frame of its own camera, as its camera info has it."""
-    own = (left if side == "left" else right).frame_id
-    check, limit = f"{side} frame_id", own
+    """Whether an image has the frame of its camera info."""
+    check, limit = f"{side} frame_id", (left if side == "left" else right).frame_id
     try:
         _rig_of(left, right).check_side(side, frame_id, topic)
     except CalibrationError as error:
-        return Finding.refused(check, error, topic, limit)
+        return Finding.refused(check, error, limit)
     if not frame_id:
-        remedy = "set frame_id in the driver: without it nothing can be placed in the tree of frames"
+        remedy = "set frame_id in the driver: without it nothing can be transformed by tf"
         return Finding(check, Level.WARNING, "empty", limit, remedy)
     return Finding(check, Level.OK, frame_id, limit)
 
 
 def check_frame_names(left: CameraModel, right: CameraModel) -> list[Finding]:
-    """A warning where the camera infos have names that speak of the other camera."""
+    """A warning where the frame names of the camera infos are those of the other camera."""
     if "right" not in left.frame_id.lower() or "left" not in right.frame_id.lower():
         return []
     value, remedy = f"{left.frame_id}, {right.frame_id}", "exchange the frame_ids, or the camera infos"
@@ -179,7 +176,7 @@ def check_frame_names(left: CameraModel, right: CameraModel) -> list[Finding]:
 
 
 def _size_remedy(camera: CameraModel, sensor: tuple[int, int], width: int, height: int) -> str:
-    """The remedy where the size of the images says what is wrong with their camera info; empty elsewhere."""
+    """The remedy where the size of the images shows the fault of the camera info; else empty."""
     if (width, height) == sensor:
         return "the images are of the whole sensor: set binning and roi of the camera info to 0"
     if fits_image(camera, width, height):
@@ -195,6 +192,6 @@ def _size_remedy(camera: CameraModel, sensor: tuple[int, int], width: int, heigh
 
 
 def _rig_of(left: CameraModel, right: CameraModel) -> StereoRig:
-    """A rig that passes, with the frames of these cameras and the size of the left one."""
+    """A valid rig with the frames of these cameras and the size of the left one."""
     one, other = _plain(left, _ANY_MATRIX), _plain(left, _ANY_MATRIX, _EXAMPLE_BASELINE_M)
     return StereoRig(replace(one, frame_id=left.frame_id), replace(other, frame_id=right.frame_id))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the rows of rectified images by features that are matched in them."""
+"""Checks of the row errors of rectified images, by matched features."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ __all__ = [
 ImageArrayPairs: TypeAlias = Sequence[tuple[U8, U8]]
 
 MAX_FEATURES = 2000  # of an image
-MIN_MATCHES = 50  # of all pairs together; fewer say nothing of the whole image
+MIN_MATCHES = 50  # of all pairs together; too few otherwise for the whole image
 # The right images of three scenes (a room, EuRoC, KITTI) shifted by 0.5, 1, 1.5 and 2 px cost sgm up to 2, 22, 43 and
 # 66 % of its disparities, and gave 4 to 7, 9 to 27, 20 to 40 and 25 to 61 % that are wrong by more than 1 px.
 GOOD_ROWS_PX, USABLE_ROWS_PX = 0.5, 1.0
 GOOD_RMS_PX, USABLE_RMS_PX = 1.0, 2.0  # twice that, for parts of the image
-MAX_RESIDUAL = 0.7  # of the rms, what a plane may leave when it explains half of the squares
-NEAR_ROWS_PX = 3.0  # up to here features are looked for in their own row
+MAX_RESIDUAL = 0.7  # of the rms, residual of a plane that explains half of the squares
+NEAR_ROWS_PX = 3.0  # up to here features are matched along the rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class RowMatching:
     """Matched features of several rectified pairs.
 
     Attributes:
-        left_px, right_px: float64 (N, 2), px; features whose row error is far from that of the others are left out.
+        left_px, right_px: float64 (N, 2), px; without outliers of the row error.
         pairs: number of pairs.
     """
 
@@ -68,22 +68,22 @@ class RowMatching:
 
     @property
     def median_px(self) -> float:
-        """Half of the features have a smaller row error, either way; infinite without features."""
+        """Median absolute row error, px; infinite without features."""
         return float(np.median(np.abs(self.errors_px))) if len(self) else math.inf
 
     @property
     def rms_px(self) -> float:
-        """Root of the mean squared row error; infinite without features."""
+        """Root mean square row error, px; infinite without features."""
         return float(np.sqrt(np.mean(self.errors_px**2))) if len(self) else math.inf
 
     @property
     def fits(self) -> bool:
-        """Enough features, and most of them nearly in one row."""
+        """Enough features, most of them with a small row error."""
         return len(self) >= MIN_MATCHES and self.median_px <= NEAR_ROWS_PX
 
 
 def match_image_pairs(images: ImageArrayPairs, done: Callable[[], object] = lambda: None) -> RowMatching:
-    """Features of rectified pairs, found in nearly their own row; where few are there, found anywhere.
+    """Features of rectified pairs, matched along the rows; where these are few, matched anywhere.
 
     Args:
         images: uint8 (H, W), gray, rectified.
@@ -116,7 +116,7 @@ def _without_outliers(found: Sequence[tuple[F64, F64]]) -> RowMatching:
 
 
 def check_raw_rows(images: ImageArrayPairs) -> Finding | None:
-    """How far apart the rows are before rectification; never a fault by itself, None where features are too few."""
+    """Row errors before rectification; never a fault by itself, None where features are too few."""
     matching = _without_outliers(
         [(m.left_px, m.right_px) for m in (match_features(*pair, MAX_FEATURES) for pair in images)]
     )
@@ -127,11 +127,11 @@ def check_raw_rows(images: ImageArrayPairs) -> Finding | None:
 
 
 def check_rows(matching: RowMatching, raw: Finding | None, width: int, height: int, f_px: float | None) -> Finding:
-    """How well the rows of rectified images agree, and in which way they do not.
+    """Row errors of rectified images, and their pattern.
 
     Args:
         matching: of the rectified images.
-        raw: what :func:`check_raw_rows` says of the same images before.
+        raw: finding of :func:`check_raw_rows` on the same images.
         width, height: of the images, px.
         f_px: rectified focal length, px; None where it is not known.
     """
@@ -157,11 +157,11 @@ def _figures(matching: RowMatching) -> dict[str, float | None]:
 
 
 def too_few(check: str, matching: RowMatching) -> Finding:
-    """A check that is left out because there are not enough features."""
+    """A check that is skipped because there are not enough features."""
     value = f"{len(matching)} matched features in {matching.pairs} pairs"
-    remedy = "let the cameras see something with texture, at a few meters, sharp"
+    remedy = "show the cameras something with texture, at a few meters, sharp"
     figures: dict[str, float | None] = {"matches": float(len(matching))}
-    return Finding(check, Level.LEFT_OUT, value, f"{MIN_MATCHES} features", remedy, figures)
+    return Finding(check, Level.SKIPPED, value, f"{MIN_MATCHES} features", remedy, figures)
 
 
 def _row_remedy(matching: RowMatching, raw: Finding | None) -> str:
@@ -174,10 +174,10 @@ def _row_remedy(matching: RowMatching, raw: Finding | None) -> str:
 
 
 def _plane(matching: RowMatching, width: int, height: int) -> tuple[F64, float]:
-    """The plane that is nearest to the row errors, and the rms of the rest, px.
+    """The least-squares plane through the row errors, and the rms of the residuals, px.
 
     Returns:
-        float64 (3,), px: in the middle of the image, more from there to the right edge, more to the lower edge.
+        float64 (3,), px: value at the center, increase to the right edge, increase to the lower edge.
     """
     x, y = matching.left_px.T
     basis = np.stack([np.ones_like(x), 2 * x / width - 1, 2 * y / height - 1], axis=1)
@@ -186,7 +186,7 @@ def _plane(matching: RowMatching, width: int, height: int) -> tuple[F64, float]:
 
 
 def _pattern(matching: RowMatching, width: int, height: int, f_px: float | None) -> str:
-    """One sentence on how the row errors lie in the image: which part of a plane over it is largest."""
+    """One sentence on the pattern of the row errors: the largest part of their plane."""
     parts, residual_px = _plane(matching, width, height)
     if residual_px > MAX_RESIDUAL * matching.rms_px:
         return "the row errors have no simple pattern, as with a lens that is not the calibrated one"

@@ -12,22 +12,21 @@ import numpy.typing as npt
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.diagnosis.finding import Finding, Level
+from stereo_depth_ros.diagnosis.survey import NEAR
 
-__all__ = ["NEAR", "check_streams"]
+__all__ = ["check_streams"]
 
-# Stamps within this time may be one exposure: half the period of 50 Hz.
-NEAR = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=0.01)
 MIN_PAIRED = 0.9  # share of the images of the camera that has fewer
-MAX_OFFSET_MS = 1.0  # a turn of 1 rad/s moves the image of a lens of 500 px by half a pixel in this time
+MAX_OFFSET_MS = 1.0  # a rotation of 1 rad/s moves the image of a lens of 500 px by half a pixel in this time
 MAX_DROPPED = 0.01
 MAX_RATE_RATIO = 1.05
 
 
 def check_streams(left_ns: Sequence[int], right_ns: Sequence[int]) -> list[Finding]:
-    """What the header stamps of both cameras say.
+    """Order, pairs, offset, rates and drops by the header stamps of both cameras.
 
     Args:
-        left_ns, right_ns: of all images, in the order in which they came, integer nanoseconds.
+        left_ns, right_ns: of all images, in order of arrival, integer nanoseconds.
     """
     if not len(left_ns) or not len(right_ns):
         return []
@@ -45,7 +44,7 @@ def check_streams(left_ns: Sequence[int], right_ns: Sequence[int]) -> list[Findi
 
 
 def _pairs(left_ns: Sequence[int], right_ns: Sequence[int], config: PairingConfig) -> list[tuple[int, int]]:
-    """Left and right stamp of each pair, as the nodes pair them when nothing is late."""
+    """Left and right stamp of each pair, as the nodes pair them when no message is late."""
     pairing: StereoPairing[int] = StereoPairing(config)
     pairs: list[tuple[int, int]] = []
     stamps = [(stamp, True) for stamp in left_ns] + [(stamp, False) for stamp in right_ns]
@@ -56,7 +55,7 @@ def _pairs(left_ns: Sequence[int], right_ns: Sequence[int], config: PairingConfi
 
 def _check_order(side: str, stamps: Sequence[int]) -> Finding:
     steps = np.diff(np.array(stamps, np.int64))
-    check, limit = f"{side} stamps", "set, rising"
+    check, limit = f"{side} stamps", "set, ascending"
     if not any(stamps):
         remedy = "let the driver stamp its images with the time of exposure"
         return Finding(check, Level.ERROR, "all 0, which means not set", limit, remedy)
@@ -75,13 +74,14 @@ def _check_pairs(exact: int, near: list[tuple[int, int]], images: int) -> Findin
     figures = {"exact": float(exact), "near": float(len(near)), "images": float(images)}
     if exact >= MIN_PAIRED * images:
         return Finding("pairs", Level.OK, value, limit, "", figures)
-    approximate = "set approximate_sync:=true approximate_sync_tolerance_seconds:="
     if len(near) > exact:
         largest_s = max(abs(right - left) for left, right in near) * 1e-9
-        remedy = f"{approximate}{max(1e-3, np.ceil(1.2e3 * largest_s) * 1e-3):.3f}, better let one signal trigger both"
-        return Finding("pairs", Level.WARNING if exact else Level.ERROR, value, limit, remedy, figures)
+        tolerance_s = round(max(1e-3, float(np.ceil(1.2e3 * largest_s)) * 1e-3), 3)
+        settings = {"approximate_sync": True, "approximate_sync_tolerance_seconds": tolerance_s}
+        remedy = "pair stamps that differ, or better let one signal trigger both cameras"
+        return Finding("pairs", Level.WARNING if exact else Level.ERROR, value, limit, remedy, figures, settings)
     if exact:
-        remedy = "images of one camera are missing: look at the drops, at the load and at the bandwidth"
+        remedy = "images of one camera are missing: check the drops, the load and the bandwidth"
         return Finding("pairs", Level.WARNING, value, limit, remedy, figures)
     remedy = "synchronize the cameras and their clocks: no two images were taken together"
     return Finding("pairs", Level.ERROR, value, limit, remedy, figures)
@@ -94,7 +94,7 @@ def _check_offset(near: list[tuple[int, int]]) -> Finding:
     figures = {"median_ms": median_ms, "spread_ms": spread_ms}
     if np.abs(offsets_ms).max() <= MAX_OFFSET_MS:
         return Finding("stamp offset", Level.OK, value, limit, "", figures)
-    remedy = "what moves is seen at two places: let one signal trigger both cameras"
+    remedy = "a moving object is seen at two places: let one signal trigger both cameras"
     return Finding("stamp offset", Level.WARNING, value, limit, remedy, figures)
 
 
@@ -125,5 +125,5 @@ def _check_drops(side: str, stamps: Sequence[int]) -> Finding:
     figures = {"missing": float(missing), "share": missing / total}
     if missing <= MAX_DROPPED * total:
         return Finding(f"{side} drops", Level.OK, value, limit, "", figures)
-    remedy = "look at the load, the bandwidth of the camera's bus, and the disk of the recorder"
+    remedy = "check the load, the bandwidth of the camera's bus, and the disk of the recorder"
     return Finding(f"{side} drops", Level.WARNING, value, limit, remedy, figures)

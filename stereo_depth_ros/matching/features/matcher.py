@@ -7,14 +7,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, F64, U8, Frame, MatchResult, Reason
+from stereo_depth_ros.matching.features.corners import detect_orb, detect_sift, squared_distances_of_pairs
 from stereo_depth_ros.matching.features.line_segments import common_rows, detect_segments, line_similarity
+from stereo_depth_ros.matching.features.lucas_kanade import refine_right_points
 from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
 
@@ -24,9 +25,8 @@ Indices: TypeAlias = npt.NDArray[np.intp]
 
 MAX_ROW_DIFFERENCE_PX = 1.0
 MAX_CORNERS = 4000  # per image, the strongest
-SIFT_SHIFT_PX = 0.25  # OpenCV halves the positions of the doubled image and ignores pixel centers
 FAST_THRESHOLD = 10  # with the default of 20, dark scenes have no corners
-REFINEMENT_WINDOW_PX = (11, 11)
+REFINEMENT_WINDOW_PX = 11
 MIN_COMMON_ROWS = 3
 MIN_COMMON_SHARE = 0.5  # of the rows of the shorter of two segments
 # Largest cost of a match: distance of SIFT descriptors (up to 724), bits of ORB descriptors (256), squared standard
@@ -35,7 +35,6 @@ MAX_COST = {"sift": 250.0, "orb": 50.0, "lines": 4.0}
 NOISE_SHARE = 0.1  # of the largest cost: candidates below it are equally good
 SUPPORT_PX = (15, 15)  # approximate extent of the smallest descriptors
 RIVAL_PX = 2.0  # candidates closer in disparity are the same feature, for example at two scales
-PAIRS_AT_ONCE = 2**16  # of descriptors: bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,17 +142,16 @@ class FeatureMatcher(SerialMatcher):
 
     def _find_corners(self, left: U8, right: U8, max_row_difference_px: float) -> tuple[FeatureMatches, F64, U8]:
         kind = self.config.feature_type
-        left_xy, left_descriptors = _corners(left, kind)
-        right_xy, right_descriptors = _corners(right, kind)
+        (left_xy, left_descriptors), (right_xy, right_descriptors) = _detect(left, kind), _detect(right, kind)
         i, j = _in_common_rows(left_xy[:, 1], right_xy[:, 1], max_row_difference_px)
         near = self._searched(left_xy[i, 0] - right_xy[j, 0])
         i, j = i[near], j[near]
-        squared = _squared_distances(left_descriptors, right_descriptors, i, j)
+        squared = squared_distances_of_pairs(left_descriptors, right_descriptors, i, j)
         cost = np.sqrt(squared) if kind == "sift" else squared
         best, score, reasons = _select(i, j, cost, left_xy[i, 0] - right_xy[j, 0], len(left_xy), self.config)
         matches = FeatureMatches(left_xy[i[best]], right_xy[j[best]], score)
         if kind == "orb":
-            matches = _refined(left, right, matches)
+            matches = _refine(left, right, matches)
             rows_px = np.abs(matches.left_xy - matches.right_xy)[:, 1]
             matches = matches.take(self._searched(matches.disparity_px) & (rows_px <= max_row_difference_px))
         return _without_repetition(matches), left_xy[reasons != 0], reasons[reasons != 0]
@@ -185,18 +183,9 @@ def nearest_pixels(xy: F64, image: npt.NDArray[Any]) -> tuple[Indices, Indices]:
     return rows.clip(0, image.shape[0] - 1), columns.clip(0, image.shape[1] - 1)
 
 
-def _corners(image: U8, kind: str) -> tuple[F64, F32]:
+def _detect(image: U8, kind: str) -> tuple[F64, F32]:
     """Positions, float64 (N, 2) px, and descriptors, float32 (N, D)."""
-    detector = (
-        cv2.SIFT.create(MAX_CORNERS) if kind == "sift" else cv2.ORB.create(MAX_CORNERS, fastThreshold=FAST_THRESHOLD)
-    )
-    corners, descriptors = detector.detectAndCompute(image, None)
-    if not corners:
-        return np.empty((0, 2)), np.empty((0, 1), np.float32)
-    xy = np.array(cv2.KeyPoint.convert(corners), np.float64)
-    if kind == "orb":
-        return xy, np.unpackbits(descriptors, axis=1).astype(np.float32)
-    return xy - SIFT_SHIFT_PX, descriptors
+    return detect_sift(image, MAX_CORNERS) if kind == "sift" else detect_orb(image, MAX_CORNERS, FAST_THRESHOLD)
 
 
 def _in_common_rows(left_y: F64, right_y: F64, tolerance: float) -> tuple[Indices, Indices]:
@@ -206,16 +195,6 @@ def _in_common_rows(left_y: F64, right_y: F64, tolerance: float) -> tuple[Indice
     end = np.searchsorted(right_y, left_y + tolerance, "right", order)
     left, position = _whole_numbers(begin, end - 1)
     return left, order[position]
-
-
-def _squared_distances(left: F32, right: F32, i: Indices, j: Indices) -> F64:
-    """Squared Euclidean distance of the descriptors of each pair, float64 (P,); of bits: the Hamming distance."""
-    squared = np.empty(len(i))
-    for begin in range(0, len(i), PAIRS_AT_ONCE):
-        part = slice(begin, begin + PAIRS_AT_ONCE)
-        difference = left[i[part]] - right[j[part]]  # integers, whose squares add up without rounding
-        squared[part] = np.einsum("ij,ij->i", difference, difference)
-    return squared
 
 
 def _select(
@@ -251,17 +230,12 @@ def _cheapest(group: Indices, cost: F64) -> Indices:
     return order[np.unique(group[order], return_index=True)[1]]
 
 
-def _refined(left: U8, right: U8, matches: FeatureMatches) -> FeatureMatches:
+def _refine(left: U8, right: U8, matches: FeatureMatches) -> FeatureMatches:
     """The right points refined by the windows around left and right points; without those that fail."""
-    if not len(matches):
-        return matches
-    start, guess = matches.left_xy.astype(np.float32), matches.right_xy.astype(np.float32)
-    flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(
-        left, right, start, guess.copy(), winSize=REFINEMENT_WINDOW_PX, maxLevel=0, flags=flags
+    right_xy, refined = refine_right_points(
+        left, right, matches.left_xy, matches.right_xy, window_px=REFINEMENT_WINDOW_PX, max_move_px=RIVAL_PX
     )
-    same_place = (found.ravel() != 0) & (np.abs(moved - guess).max(axis=1) <= RIVAL_PX)
-    return FeatureMatches(matches.left_xy, moved.astype(np.float64), matches.score).take(same_place)
+    return FeatureMatches(matches.left_xy, right_xy, matches.score).take(refined)
 
 
 def _without_repetition(matches: FeatureMatches) -> FeatureMatches:

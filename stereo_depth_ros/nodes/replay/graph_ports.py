@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The replay's ends of the graph: publishers of raw pairs, subscriptions to every output and to diagnostics."""
+"""Publishers and subscriptions of the replay: raw pairs, every output, diagnostics."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from stereo_depth_ros.outputs import OUTPUTS
 __all__ = ["GraphPorts"]
 
 _MSGTYPES = {output.topic: output.msgtype for output in OUTPUTS}
-# What health_node says where it runs: recorded as it comes; whether it is latched
+# Messages of the calibration monitor, recorded where it runs; whether they are latched
 _NOTES = {
     "health/row_error": (Float64MultiArray, "std_msgs/msg/Float64MultiArray", False),
     "health/correction": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray", True),
@@ -37,18 +37,17 @@ _INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ERRORS_LAST_S = 6.0
-_MOST_ERRORS = 3  # what comes later usually follows from these
-
-_UNSUBSCRIBE_TIMEOUT_S = 1.0  # somebody else may be listening, and the nodes stay awake
+_MOST_ERRORS = 3  # later ones usually follow from these
+_UNSUBSCRIBE_TIMEOUT_S = 1.0  # with other subscribers the nodes stay awake
 _SETTLE_S = 0.2
 
 
 class GraphPorts:
-    """Everything of the replay that touches DDS; bytes are passed on as they are.
+    """All publishers and subscriptions of the replay; serialized messages pass unchanged.
 
     Args:
         node: owns the endpoints; its namespace holds the topics.
-        recorder: gets the camera infos that are sent and the outputs that are expected.
+        recorder: of the camera infos sent and of the expected outputs.
         compressed: the bag's images are CompressedImage.
         clock: publish the time of the pairs on /clock.
 
@@ -96,7 +95,7 @@ class GraphPorts:
         node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 10)
 
     def spin(self, timeout_s: float) -> None:
-        """Handle what has come, or wait for something up to that time."""
+        """Handle received messages, or wait for one up to that time."""
         self._executor.spin_once(timeout_sec=timeout_s)
 
     def record_infos(self, pair: SerializedPair) -> None:
@@ -119,19 +118,19 @@ class GraphPorts:
         self._publishers["right"].publish(pair.right)
 
     def obstacles(self) -> list[str]:
-        """One phrase for each topic that has nobody at its other end, or a second publisher of another graph."""
+        """One phrase for each topic without a subscriber or publisher, or with a publisher of another graph."""
         inputs = [p.topic_name for p in self._publishers.values() if not p.get_subscription_count()]
         outputs = [s.topic_name for s in self._subscriptions.values() if not s.get_publisher_count()]
         missing = [f"{name} has no subscriber" for name in inputs] + [f"{name} has no publisher" for name in outputs]
         return missing + self.intruders()
 
     def intruders(self) -> list[str]:
-        """One phrase for each topic that another graph or a camera publishes as well."""
+        """One phrase for each topic that another graph or a camera publishes too."""
         counts = {name: self._node.count_publishers(name) for name in self._topics()}
         return [f"{name} has {count} publishers, not one" for name, count in counts.items() if count > 1]
 
     def count_endpoints(self) -> int:
-        """Publishers and subscribers on all topics of the replay, of everybody."""
+        """Publishers and subscribers of all nodes on all topics of the replay."""
         return sum(self._node.count_publishers(name) + self._node.count_subscribers(name) for name in self._topics())
 
     def await_diagnostics(self, timeout_s: float) -> None:
@@ -150,7 +149,7 @@ class GraphPorts:
         }
 
     def errors_reported(self) -> str:
-        """The first things that the nodes said were wrong, a line each; empty for nothing."""
+        """The first errors that the nodes have reported; empty where there are none."""
         return "; ".join(self._errors[:_MOST_ERRORS])
 
     def warn(self, text: str) -> None:
@@ -158,10 +157,10 @@ class GraphPorts:
         self._node.get_logger().warning(text)
 
     def close(self) -> None:
-        """Stop listening, let the nodes unsubscribe, stop the executor; the node stays the caller's.
+        """Unsubscribe, let the nodes unsubscribe too, stop the executor; the node stays the caller's.
 
-        Lazy nodes unsubscribe their inputs once nobody listens. Fast DDS 2.14 can hang for good when a participant is
-        deleted in the very moment in which endpoints of another one go: so they go first.
+        Lazy nodes unsubscribe their inputs once their outputs have no subscriber. Fast DDS 2.14 can hang when a
+        participant is deleted at the same time as endpoints of another one: so these are deleted first.
         """
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
@@ -187,7 +186,7 @@ class GraphPorts:
         self._recorder.write(self._node.resolve_topic_name(topic), msgtype, data, self._sent_ns, latched)
 
     def _receive_diagnostics(self, message: Any) -> None:
-        # A node that is never lazy complains of silence before the bag is played, and repeats that for a while
+        # A node that is never lazy reports silent inputs before the bag is played, and repeats that for a while
         played = time.monotonic() > self._played_from_s + _ERRORS_LAST_S
         for status in message.status:
             name = status.name.rpartition("/")[2]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sends the pairs of a bag into the graph, each when the graph is ready for it, and collects what comes out."""
+"""Sends the pairs of a bag into the graph, each when the graph is ready for it, and collects the outputs."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ __all__ = ["Player"]
 _GRAPH_TIMEOUT_S = 20.0
 _SETTLED_S = 0.5  # endpoints appear one after the other; after this time without a new one the graph is complete
 _LOST_AFTER_S = 10.0
-_LAST_AFTER_S = 2.0  # in real time, what has not come this long after the last pair was dropped
+_LAST_AFTER_S = 2.0  # in real time, an output missing this long after the last pair was dropped
 _REPEAT_S = 1.0
-_MOST_SILENT_PAIRS = 3  # pairs in a row without any output; more would each take ten seconds to say the same
+_MOST_SILENT_PAIRS = 3  # pairs in a row without any output; each takes ten seconds
 _SPIN_S = 0.05
 
 
@@ -33,13 +33,13 @@ class Player:
         ports: publishers, subscriptions and the executor.
         pairs: the open bag.
         options: how to play.
-        approximate: the nodes pair stamps that differ.
-        check: called many times a second while waiting; raises when the graph is gone.
+        approximate: the nodes pair different stamps.
+        check: called many times a second while waiting; raises when a node has ended.
 
     Attributes:
         sent: pairs sent.
         wall_s: from the first pair sent to the last output received, seconds.
-        lost: pairs that were given up.
+        lost: pairs whose outputs are incomplete.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Player:
 
     @property
     def stats(self) -> dict[str, OutputStats]:
-        """What has come, per output."""
+        """Counts and latencies per output."""
         return self._tracker.stats()
 
     def play(self, progress: Callable[[int, int], None]) -> None:
@@ -75,7 +75,7 @@ class Player:
             progress: called with pairs sent and pairs to send (at most) after each pair.
 
         Raises:
-            GraphError: a topic with nobody at its other end, or with a second publisher; no output for several pairs.
+            GraphError: a topic without subscriber or publisher, or with a second publisher; pairs without any output.
             BagError: the bag is damaged where it is read.
         """
         self._wait_for_graph()
@@ -119,10 +119,10 @@ class Player:
         return not (self._options.realtime or self._needs_followers)
 
     def _repeat_first(self, pair: SerializedPair) -> None:
-        """Send the first pair again, once a second, until its outputs are complete or the wait for it is over.
+        """Send the first pair again, once a second, until its outputs are complete or the timeout is over.
 
-        Best-effort links between the nodes may come up after everything that can be seen from here, and DDS does not
-        repeat what they miss; a node that has the pair already drops the repetition as a duplicate.
+        Best-effort links between the nodes may be established later than everything visible from here, and DDS does
+        not repeat messages on them; a node that has the pair already drops the repetition as a duplicate.
         """
         end_ns = self._first_ns + round(1e9 * (_LOST_AFTER_S - _REPEAT_S))
         while self._tracker.pending and time.monotonic_ns() < end_ns:
@@ -149,7 +149,7 @@ class Player:
                 self._spin(left_s)
 
     def _wait_for_outputs(self, allowed: int) -> None:
-        """Until at most ``allowed`` pairs are outstanding; what takes too long is lost."""
+        """Wait until at most ``allowed`` pairs are outstanding; late outputs are lost."""
         timeout_s = _LAST_AFTER_S if self._options.realtime else _LOST_AFTER_S
         while self._tracker.pending > allowed:
             self._spin(_SPIN_S)
@@ -160,13 +160,17 @@ class Player:
         self.lost.append(pair)
         if self._options.realtime:
             return
-        reason = self._ports.errors_reported() or "the nodes complain of nothing"
-        self._ports.warn(
-            f"pair {stamp_text(pair.stamp_ns)}: {', '.join(pair.topics)} not there after {_LOST_AFTER_S:g} s: {reason}"
-        )
-        self._silent_pairs += pair.nothing_came
+        reason = self._ports.errors_reported() or "the nodes report no error"
+        missing = ", ".join(pair.topics)
+        self._ports.warn(f"pair {stamp_text(pair.stamp_ns)}: no {missing} within {_LOST_AFTER_S:g} s: {reason}")
+        self._silent_pairs += pair.without_output
         if self._silent_pairs >= _MOST_SILENT_PAIRS:
-            raise GraphError(f"no output for {self._silent_pairs} pairs in a row, {_LOST_AFTER_S:g} s each: {reason}")
+            raise GraphError(
+                f"no output for {self._silent_pairs} pairs in a row, {_LOST_AFTER_S:g} s each",
+                value=self._silent_pairs,
+                limit=_MOST_SILENT_PAIRS,
+                remedy=reason,
+            )
 
     def _wait_for_graph(self) -> None:
         end = time.monotonic() + _GRAPH_TIMEOUT_S
@@ -179,8 +183,10 @@ class Player:
                 settled_at = now + _SETTLED_S
             if obstacles and now > end:
                 raise GraphError(
-                    f"{'; '.join(obstacles)} after {_GRAPH_TIMEOUT_S:g} s: run one graph, in the same namespace, in a "
-                    "ROS_DOMAIN_ID of its own (cameras and other graphs stay in theirs)"
+                    f"{'; '.join(obstacles)} after {_GRAPH_TIMEOUT_S:g} s",
+                    limit=_GRAPH_TIMEOUT_S,
+                    remedy="run one graph, in the same namespace, in a separate ROS_DOMAIN_ID without cameras or other "
+                    "graphs",
                 )
             if not obstacles and (now > settled_at or now > end):
                 return

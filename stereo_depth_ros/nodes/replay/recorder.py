@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records serialized messages into a bag from a thread of its own, so that the graph does not wait for the disk."""
+"""Records serialized messages into a bag in a separate thread, so that the graph does not wait for the disk."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ _Item: TypeAlias = tuple[str, str, bytes, int, None, bool]
 class Recorder:
     """Writes into an MCAP bag while the ``with`` block lasts.
 
-    :meth:`write` returns at once while fewer than 64 messages wait, and waits for the disk otherwise. When the block
-    ends in an exception there is no bag.
+    :meth:`write` returns immediately while fewer than 64 messages wait, and waits for the disk otherwise. There is no
+    bag when the block ends in an exception.
 
     Args:
-        path: the bag to make; None records nothing.
-        overwrite: replace a bag that is there.
+        path: the bag to write; None records nothing.
+        overwrite: replace an existing bag.
 
     Raises:
-        OutputError: the bag exists and ``overwrite`` is false, or it cannot be made.
+        OutputError: the bag exists and ``overwrite`` is false, or it cannot be created.
     """
 
     def __init__(self, path: Path | None, *, overwrite: bool = False) -> None:
-        # lz4: zstd takes longer over a cloud than the matcher over its pair
+        # lz4: zstd takes longer for a cloud than the matcher for its pair
         self._writer = BagWriter(path, compression="lz4", overwrite=overwrite) if path is not None else None
         self._queue: queue.Queue[_Item | None] = queue.Queue(_QUEUE_SIZE)
         self._error: Exception | None = None
@@ -81,7 +81,7 @@ class Recorder:
     def _run(self) -> None:
         assert self._writer is not None
         while (item := self._queue.get()) is not None:
-            if self._error is None:  # after an error the queue is emptied, so that nobody waits for it
+            if self._error is None:  # after an error the queue is emptied, so that no writer waits for it
                 try:
                     self._writer.write_raw(*item)
                 except Exception as error:  # handed to the thread that records
@@ -89,4 +89,4 @@ class Recorder:
 
     def _raise_error(self) -> None:
         if self._error is not None:
-            raise OutputError(f"recording stopped: {self._error}: make room on the disk") from self._error
+            raise OutputError(f"recording stopped: {self._error}", remedy="free space on the disk") from self._error

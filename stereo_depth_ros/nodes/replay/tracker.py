@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which outputs of which sent pairs have come; pure."""
+"""Tracks which outputs of which pairs have been received; pure."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ __all__ = ["LostPair", "PairTracker"]
 
 @dataclass(frozen=True)
 class LostPair:
-    """A pair that is no longer waited for, and the outputs that did not come; ``nothing_came`` when all of them."""
+    """A pair given up, and its missing outputs; ``without_output`` when all are missing."""
 
     stamp_ns: int
     topics: tuple[str, ...]
-    nothing_came: bool
+    without_output: bool
 
 
 @dataclass
@@ -49,20 +49,20 @@ class PairTracker:
 
     @property
     def pending(self) -> int:
-        """Pairs that were sent and have not all their outputs yet."""
+        """Number of pairs sent whose outputs are incomplete."""
         return len({id(pair) for pair in self._outstanding.values()})
 
     def sent(self, stamp_ns: int, right_stamp_ns: int, now_ns: int) -> None:
-        """A pair was sent; what is made of the right image alone may carry its stamp."""
+        """A pair was sent; outputs of the right image alone may have its stamp."""
         pair = _Outstanding(stamp_ns, now_ns, now_ns, set(self._topics))
         self._outstanding[stamp_ns] = self._outstanding[right_stamp_ns] = pair
 
     def sent_again(self, stamp_ns: int, now_ns: int) -> None:
-        """An outstanding pair was sent once more: latencies count from now, its patience from the first time."""
+        """An outstanding pair was sent once more: latencies count from now, the timeout from the first time."""
         self._outstanding[stamp_ns].last_sent_ns = now_ns
 
     def received(self, topic: str, stamp_ns: int, now_ns: int) -> bool:
-        """An output came; False where no pair waits for it."""
+        """An output arrived; False where no pair waits for it."""
         pair = self._outstanding.get(stamp_ns)
         if pair is None or topic not in pair.missing:
             return False
@@ -74,7 +74,7 @@ class PairTracker:
         return True
 
     def give_up(self, sent_before_ns: int) -> list[LostPair]:
-        """Count as lost what the pairs sent before that time still miss, and wait for it no longer."""
+        """Count the missing outputs of the pairs sent before that time as lost, and stop waiting for them."""
         overdue = {id(pair): pair for pair in self._outstanding.values() if pair.sent_ns < sent_before_ns}
         lost = []
         for pair in overdue.values():
