@@ -1,13 +1,18 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures every test may use."""
+"""Fixtures for all tests."""
 
 from __future__ import annotations
 
 import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from command_line import CommandLine, Run
+
+from stereo_depth_ros.cli import main as cli
 
 
 @pytest.fixture(scope="session")
@@ -18,3 +23,25 @@ def stereo_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real data at {folder}: set STEREO_DATA")
     return folder
+
+
+@pytest.fixture
+def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[CommandLine]:
+    """Runs `stereo-depth` in this process; see :mod:`command_line`."""
+    before = signal.getsignal(signal.SIGTERM)
+
+    def of_command(*command: str, columns: int | None = None) -> Run:
+        if columns is not None:
+            monkeypatch.setenv("COLUMNS", str(columns))
+
+        def run(*arguments: object) -> tuple[int, str, str]:
+            monkeypatch.setattr("sys.argv", ["stereo-depth", *command, *map(str, arguments)])
+            with pytest.raises(SystemExit) as ended:
+                cli.main()
+            out, err = capsys.readouterr()
+            return int(ended.value.code or 0), out, err
+
+        return run
+
+    yield of_command
+    signal.signal(signal.SIGTERM, before)

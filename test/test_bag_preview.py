@@ -23,7 +23,7 @@ SIZE = (96, 60)
 RIG = StereoRig.from_rectified(100.0, 101.0, 50.0, 47.0, 31.0, 0.2, SIZE)
 
 
-def test_preview_shows_depth_next_to_the_left_image_of_the_same_stamp(tmp_path: Path) -> None:
+def test_preview_shows_depth_beside_the_left_image_of_the_same_stamp(tmp_path: Path) -> None:
     types, random = RosbagsTypes(), np.random.default_rng(1)
     depth_m = random.uniform(2, 6, SIZE[::-1]).astype(np.float32)
     disparity_px = (RIG.f_px * RIG.baseline_m / depth_m + RIG.doffs_px).astype(np.float32)

@@ -86,7 +86,7 @@ def test_from_images_to_files_and_drivers(photographs: list[tuple[U8, U8]], tmp_
         assert (images[-1].encoding, images[-1].width) == ("bgr8", SIZE[0])
         success, text = trigger(graph, "calibrate")
         assert success, text
-        assert "baseline 11" in text and "to improve" in text
+        assert "baseline 11" in text and "to do better" in text
         success, text = trigger(graph, "save")
         assert success and str(tmp_path / "out") in text
         rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
@@ -215,7 +215,7 @@ def test_faults_of_images_are_reported(photographs: list[tuple[U8, U8]]) -> None
         graph.wait_error(r"right image: 400x296, previous images 400x300")
         show_nothing = np.full_like(left, 70)
         graph.send(messages((show_nothing, show_nothing), 10))
-        graph.wait(lambda: facts(graph)["newest pair"].startswith("no board is seen"), "word of an empty image")
+        graph.wait(lambda: facts(graph)["newest pair"].startswith("no board is detected"), "word of an empty image")
 
 
 @pytest.mark.parametrize(

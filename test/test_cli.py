@@ -7,41 +7,27 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command_line import CommandLine, Run
 from stereo_bags import PARAMETERS, messages_of, write_odd_bag, write_truth_bag
 
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.calibration.calibration_files import write_camera
-from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.replay import graph_processes as graph_runner
 
-Run = Callable[..., tuple[int, str, str]]
 PARAM_ARGUMENTS = [text for name, value in PARAMETERS.items() for text in ("--param", f"{name}:={value}")]
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """Run `stereo-depth` with arguments; returns exit code, stdout, stderr."""
-    before = signal.getsignal(signal.SIGTERM)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["stereo-depth", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    yield call
-    signal.signal(signal.SIGTERM, before)
+def run(command_line: CommandLine) -> Run:
+    return command_line()
 
 
 @pytest.fixture(scope="module")

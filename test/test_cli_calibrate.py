@@ -5,42 +5,27 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command_line import CommandLine, Run
 from rendered_boards import FISHEYE, SQUARE_M, chessboard_photographs
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.writer import BagWriter
-from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.messages.image import image_message
 
-Run = Callable[..., tuple[int, str, str]]
 BOARD = ("--board", "chessboard", "--size", "7x5", "--square", SQUARE_M, "--model", "equidistant")
 KEYS = {"rms_left", "rms_right", "rms_stereo", "baseline_m", "epipolar_rms_px", "views_used", "views_dropped"}
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """Runs `stereo-depth calibrate` with arguments: exit code, stdout, stderr."""
-    before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setenv("COLUMNS", "100")
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["stereo-depth", "calibrate", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    yield call
-    signal.signal(signal.SIGTERM, before)
+def run(command_line: CommandLine) -> Run:
+    return command_line("calibrate", columns=100)
 
 
 @pytest.fixture(scope="module")

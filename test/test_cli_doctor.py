@@ -5,20 +5,19 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import CommandLine, Run
 from stereo_bags import cut
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
-from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.image import compressed_message, image_message
@@ -27,24 +26,11 @@ from stereo_depth_ros.stages.rectification import Rectifier
 
 SAMPLE = Path(__file__).resolve().parents[1] / "bags" / "synthetic_room.mcap"
 TYPES = RosbagsTypes()
-Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """Runs `stereo-depth doctor` with arguments on a wide terminal: exit code, stdout, stderr."""
-    before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setenv("COLUMNS", "250")
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["stereo-depth", "doctor", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    yield call
-    signal.signal(signal.SIGTERM, before)
+def run(command_line: CommandLine) -> Run:
+    return command_line("doctor", columns=250)
 
 
 def variant(path: Path, change: Callable[[str, Any], tuple[str, Any] | None], frames: int = 2) -> Path:

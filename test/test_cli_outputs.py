@@ -12,37 +12,24 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command_line import CommandLine, Run
 from evaluation_scenes import write_scene
 from stereo_bags import PARAMETERS, messages_of, sequence, write_truth_bag
 
-from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.camera_yaml import write_camera
 
-Run = Callable[..., tuple[int, str, str]]
 PARAM_ARGUMENTS = [text for name, value in PARAMETERS.items() for text in ("--param", f"{name}:={value}")]
 STEREO_DEPTH = [sys.executable, "-m", "stereo_depth_ros.cli.main"]
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """Runs `stereo-depth` with arguments: exit code, stdout, stderr."""
-    before = signal.getsignal(signal.SIGTERM)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["stereo-depth", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    yield call
-    signal.signal(signal.SIGTERM, before)
+def run(command_line: CommandLine) -> Run:
+    return command_line()
 
 
 @pytest.fixture(scope="module")

@@ -5,39 +5,24 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command_line import CommandLine, Run
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
-from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
-Run = Callable[..., tuple[int, str, str]]
 SCENE = SyntheticSequence(1, 480, 360)
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """Runs `stereo-depth rectify` with arguments: exit code, stdout, stderr."""
-    before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setenv("COLUMNS", "100")
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["stereo-depth", "rectify", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    yield call
-    signal.signal(signal.SIGTERM, before)
+def run(command_line: CommandLine) -> Run:
+    return command_line("rectify", columns=100)
 
 
 @pytest.fixture

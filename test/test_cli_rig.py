@@ -5,38 +5,23 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command_line import CommandLine, Run
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
-from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.plots.depth_error import depth_error_plot
 
-Run = Callable[..., tuple[int, str, str]]
 RIG = StereoRig.from_rectified(400.0, 420.0, 330.0, 318.0, 205.0, 0.125, (640, 430))
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """Runs `stereo-depth rig` with arguments: exit code, stdout, stderr."""
-    before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setenv("COLUMNS", "90")
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["stereo-depth", "rig", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    yield call
-    signal.signal(signal.SIGTERM, before)
+def run(command_line: CommandLine) -> Run:
+    return command_line("rig", columns=90)
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import CommandLine
 from graph_harness import NS_PER_S, Graph, StereoCamera
 from sensor_msgs.msg import Image
 
-from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.errors import ConfigError, TopicError
 from stereo_depth_ros.diagnosis.doctor import diagnose
 from stereo_depth_ros.diagnosis.finding import Finding, Level
@@ -145,17 +144,11 @@ def test_images_that_cannot_be_decoded_are_reported(camera: StereoCamera) -> Non
     assert "encoding = 'magic' is not supported" in setup.findings[0].value
 
 
-def test_the_command_listens_and_names_the_published_images(
-    camera: StereoCamera, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    arguments = ["--live", "--left-namespace", "a", "--right-namespace", "b", "--seconds", "0.5", "--json", "-"]
-    monkeypatch.setattr("sys.argv", ["stereo-depth", "doctor", *arguments])
-    with Graph() as graph, sending(graph, camera.pair), pytest.raises(SystemExit) as ended:
-        cli.main()
-    signal.signal(signal.SIGTERM, before)
-    assert ended.value.code == 1
-    out, err = capsys.readouterr()
+def test_the_command_listens_and_names_the_published_images(camera: StereoCamera, command_line: CommandLine) -> None:
+    run = command_line("doctor")
+    with Graph() as graph, sending(graph, camera.pair):
+        code, out, err = run("--live", "--left-namespace=a", "--right-namespace=b", "--seconds=0.5", "--json=-")
+    assert code == 1
     assert not out and err.count("\n") == 1
     assert "/a/image_raw and /b/image_raw: no messages in 0.5 s: no publisher: start the camera" in err
     assert "images are on /left/image_raw, /right/image_raw" in err

@@ -6,43 +6,28 @@ from __future__ import annotations
 
 import csv
 import json
-import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from command_line import CommandLine, Run
 from evaluation_scenes import pair, write, write_kitti, write_scene
 from rosbags.rosbag2 import StoragePlugin
 from stereo_bags import compressed_folder, write_truth_bag
 
-from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.evaluation import evaluator
 from stereo_depth_ros.matching import Matcher, create_matcher
 
-Run = Callable[..., tuple[int, str, str]]
 KEYS = {"scene", "matcher", "density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg", "ms"}
 SMALL = ("--param", "correlation_window_size:=9")
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """Runs `stereo-depth evaluate` with arguments: exit code, stdout, stderr."""
-    before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setenv("COLUMNS", "80")
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["stereo-depth", "evaluate", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    yield call
-    signal.signal(signal.SIGTERM, before)
+def run(command_line: CommandLine) -> Run:
+    return command_line("evaluate", columns=80)
 
 
 def rows_of(path: Path) -> list[dict[str, Any]]:
