@@ -504,7 +504,7 @@ def test_pairs_without_times_are_counted_at_the_rate(tmp_path: Path) -> None:
     for rate_hz in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ConfigError, match=r"rate_hz = .* is not a finite number above 0"):
             convert_dataset(dataset, tmp_path / "other.mcap", rate_hz=rate_hz)
-    with pytest.raises(BagError, match=r"out\.mcap exists"):
+    with pytest.raises(BagError, match=r"out\.mcap: already exists"):
         convert_dataset(dataset, tmp_path / "out.mcap")
 
 
