@@ -100,13 +100,13 @@ def _refined(F: F64, left_px: F64, right_px: F64, threshold_px: float) -> tuple[
         before, inliers = inliers, distances < threshold_px
         if np.array_equal(inliers, before):
             break
-    _check_agreement(left_px, right_px, inliers, threshold_px)
+    _check_inlier_count(left_px, right_px, inliers, threshold_px)
     _check_depths(left_px[inliers], right_px[inliers], threshold_px)
     eight_point(left_px[inliers], right_px[inliers])  # raises where the inliers do not determine the matrix
     return unit_scale(F), inliers
 
 
-def _check_agreement(left_px: F64, right_px: F64, inliers: npt.NDArray[np.bool_], threshold_px: float) -> None:
+def _check_inlier_count(left_px: F64, right_px: F64, inliers: npt.NDArray[np.bool_], threshold_px: float) -> None:
     """The number of inliers must be above that of random matches (Moisan and Stival 2004, eq. 11).
 
     Seven matches always agree; another one agrees by chance where its point is in the band around its epipolar line.

@@ -27,7 +27,7 @@ _MAX_STRETCH = 4.0  # ratio of magnifications in the image, by the projective pa
 
 
 class Shape(NamedTuple):
-    """Effect of a homography on the midlines of an image; (90, 1) is no distortion.
+    """Effect of a homography on the midlines of an image; (90, 1) means no distortion.
 
     Attributes:
         angle_deg: between the mapped horizontal and vertical midlines.
