@@ -149,7 +149,17 @@ def test_the_command_listens_and_names_the_published_images(
     camera: StereoCamera, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = signal.getsignal(signal.SIGTERM)
-    arguments = ["--live", "--left-namespace", "a", "--right-namespace", "b", "--seconds", "0.5", "--json", "-"]
+    arguments = [
+        "--live",
+        "--left-namespace",
+        "a",
+        "--right-namespace",
+        "b",
+        "--seconds",
+        "2",
+        "--json",
+        "-",
+    ]  # DDS announces participants every 3 s
     monkeypatch.setattr("sys.argv", ["stereo-depth", "doctor", *arguments])
     with Graph() as graph, sending(graph, camera.pair), pytest.raises(SystemExit) as ended:
         cli.main()
@@ -157,5 +167,5 @@ def test_the_command_listens_and_names_the_published_images(
     assert ended.value.code == 1
     out, err = capsys.readouterr()
     assert not out and err.count("\n") == 1
-    assert "/a/image_raw and /b/image_raw: no messages in 0.5 s: no publisher: start the camera" in err
+    assert "/a/image_raw and /b/image_raw: no messages in 2 s: no publisher: start the camera" in err
     assert "images are on /left/image_raw, /right/image_raw" in err
