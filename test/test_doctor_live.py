@@ -147,8 +147,9 @@ def test_images_that_cannot_be_decoded_are_reported(camera: StereoCamera) -> Non
 def test_the_command_listens_and_names_the_published_images(camera: StereoCamera, command_line: CommandLine) -> None:
     run = command_line("doctor")
     with Graph() as graph, sending(graph, camera.pair):
-        code, out, err = run("--live", "--left-namespace=a", "--right-namespace=b", "--seconds=0.5", "--json=-")
+        seconds = "--seconds=4"  # DDS announces participants every 3 s
+        code, out, err = run("--live", "--left-namespace=a", "--right-namespace=b", seconds, "--json=-")
     assert code == 1
     assert not out and err.count("\n") == 1
-    assert "/a/image_raw and /b/image_raw: no messages in 0.5 s: no publisher: start the camera" in err
+    assert "/a/image_raw and /b/image_raw: no messages in 4 s: no publisher: start the camera" in err
     assert "images are on /left/image_raw, /right/image_raw" in err
