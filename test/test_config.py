@@ -15,6 +15,7 @@ from stereo_depth_ros.config import (
     parameter_infos,
     replace_checked,
 )
+from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.core.errors import ConfigError
 
 # Name, default, low, high, step: as stereo_image_proc of Jazzy declares them.
@@ -36,7 +37,7 @@ CONTRACT = {
 }
 # Differences of this package: more methods, another default, smaller windows, penalties from the window area.
 WIDER = {
-    "stereo_algorithm": (2, 0, 10, None),
+    "stereo_algorithm": (2, 0, len(MATCHERS) - 1, None),
     "correlation_window_size": (15, 1, 255, 2),
     "P1": (0.0, 0.0, 4000.0, None),
     "P2": (0.0, 0.0, 4000.0, None),

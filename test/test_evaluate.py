@@ -157,7 +157,7 @@ def test_matcher_that_rejects_a_scene_is_skipped_there(run: Run, tmp_path: Path)
     window = ("--param", "correlation_window_size:=95", "--param", "prefilter_cap:=5")
     code, out, err = run(tmp_path / "one", "--matcher", "bm", *window, "--param", "disparity_range:=160")
     assert (code, out) == (1, "")
-    assert "one, bm skipped: images of 170 x 96 px" in err and "lower disparity_range" in err
+    assert "one, bm skipped: images of 170 x 96 px" in err and "use a smaller search range or window" in err
 
 
 def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> None:

@@ -279,7 +279,7 @@ def test_created_by_name() -> None:
 def test_refused_parameters() -> None:
     with pytest.raises(ConfigError, match="parameter feature_type = 'surf' is not one of sift, orb, lines: use one"):
         matcher("surf")
-    with pytest.raises(ConfigError, match=r"disparities 2032\.\.2063 are searched.*change min_disparity"):
+    with pytest.raises(ConfigError, match=r"disparities 2032\.\.2063 are searched.*use a smaller search range"):
         matcher("sift", min_disparity=2032)
 
 

@@ -146,7 +146,7 @@ def test_smoothness_below_the_unit_of_costs_is_refused(method: str) -> None:
 
 
 def test_disparities_beyond_16_bit_are_refused(method: str) -> None:
-    with pytest.raises(ConfigError, match=r"disparities -2048\.\.-1985 .* change min_disparity"):
+    with pytest.raises(ConfigError, match=r"disparities -2048\.\.-1985 .* use a smaller search range"):
         create_matcher(method, min_disparity=-2048)
 
 

@@ -7,10 +7,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
+from stereo_depth_ros.core import kernels
 from stereo_depth_ros.core.kernels import Kernel, compile_kernels, compiled
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -90,6 +92,31 @@ def test_of_concurrent_processes_one_compiles(folder: Path) -> None:
     assert [process.returncode for process in processes] == [0, 0, 0]
     assert [output[-1] for output in outputs] == ["8 6"] * 3
     assert sum(line.startswith("compiling") for output in outputs for line in output) == 2
+
+
+def test_waiting_for_another_process_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wait is progress too: who watches the start of nodes counts from the last report."""
+    monkeypatch.setattr(kernels, "_WAITING_S", 0.2)
+    reports = []
+    released = threading.Event()
+
+    def hold() -> None:
+        with kernels._one_process_at_a_time(lambda: None):
+            held.set()
+            released.wait(60)
+
+    held = threading.Event()
+    holder = threading.Thread(target=hold)  # flock is of the open file: a thread stands for a process
+    holder.start()
+    assert held.wait(60)
+
+    def report() -> None:
+        reports.append(0)
+        released.set()
+
+    with kernels._one_process_at_a_time(report):
+        holder.join(60)
+    assert reports
 
 
 def test_first_call_compiles() -> None:

@@ -17,10 +17,8 @@ pytestmark = pytest.mark.graph
 ROOT = Path(__file__).resolve().parents[1]
 # rosbags with what it brings, and the packages of the command line
 NOT_IN_APT = ("rosbags", "mcap", "lz4", "zstandard", "apsw", "ruamel", "typer", "rich", "click")
-NODES = (
-    *("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node", "feature_node"),
-    *("calibration_monitor", "calibration_node", "graph_survey"),
-)
+NOT_LIVE = ("replay_node", "live_replay")
+NODES = sorted({path.stem for path in (ROOT / "stereo_depth_ros" / "nodes").glob("*.py")} - {"__init__", *NOT_LIVE})
 
 IMPORT = f"""
 import importlib, sys

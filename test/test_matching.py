@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.config import MatchingConfig, replace_checked
+from stereo_depth_ros.config.matchers import matcher_number
 from stereo_depth_ros.core import bands as parallel
 from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.types import U8, MatchResult, Reason
@@ -273,7 +274,8 @@ def test_matchers_in_several_threads() -> None:
 
 def test_create_by_name_number_and_public_name() -> None:
     assert [create_matcher(name).name for name in ("bm", "sgbm", 0, 1)] == ["bm", "sgbm", "bm", "sgbm"]
-    assert [create_matcher(number).name for number in range(10)] == list(MATCHERS)[:10]
+    numbers = {matcher_number(name): name for name in MATCHERS if name != "onnx"}  # which needs a network
+    assert [create_matcher(number).name for number in numbers] == list(numbers.values())
     assert matcher_from_config(MatchingConfig()).name == "sgm"
     config = MatchingConfig(stereo_algorithm=1, speckle_size=7)
     matcher = create_matcher("bm", config, disparity_range=96)
@@ -321,7 +323,7 @@ def test_smallest_image(name: str, min_disparity: int) -> None:
     left, right = textured_pair(9, width, min_disparity, min_disparity + 20)
     check_result(matcher.match(left, right), (9, width))
     for small in (np.s_[:, 1:], np.s_[1:, :]):
-        with pytest.raises(ImageError, match=rf"needs {width} x 9 px: lower disparity_range"):
+        with pytest.raises(ImageError, match=rf"needs {width} x 9 px: use a smaller search range or window"):
             matcher.match(left[small], right[small])
 
 
@@ -367,3 +369,14 @@ def test_real_pairs(stereo_data: Path, scene: str) -> None:
         errors = disparity_errors(result.disparity_px, truth)
         assert errors.median_px < 0.5
         assert errors.density > least_density
+
+
+@pytest.mark.parametrize(("name", "window"), [("sgm", "9 x 7"), ("features", "15 x 15")])
+def test_small_images_name_the_support_of_the_method(name: str, window: str) -> None:
+    """Not the parameter of a window that these methods do not have."""
+    matcher = create_matcher(name, min_disparity=60, num_disparities=32, correlation_window_size=101)
+    with pytest.raises(
+        ImageError, match=f"a window of {window} px .*: use a smaller search range, or larger"
+    ) as raised:
+        matcher.match(*np.zeros((2, 40, 50), np.uint8))
+    assert raised.value.settings == ("disparity_range",)

@@ -36,9 +36,16 @@ def test_one_parameter_and_a_field_of_another_name() -> None:
     assert error_text(error) == "this needs a model: use another matcher (parameter: stereo_algorithm)"
 
 
-def test_settings_that_are_not_parameters_or_are_named_already_are_not_appended() -> None:
-    error = StereoDepthError("P2 = 400 is not above P1 = 500", remedy="raise P2", settings=("P2", "P1", "json_file"))
-    assert error_text(error) == "P2 = 400 is not above P1 = 500: raise P2"
+@pytest.mark.parametrize("name", ["board", "size", "square", "marker", "dictionary", "spacing", "model"])
+def test_parameters_of_the_board(name: str) -> None:
+    error = StereoDepthError("the board is too small", remedy="use a larger one", settings=(name,))
+    parameter = {"board": "board", "model": "lens_model"}.get(name, f"board_{name}")
+    assert error_text(error) == f"the board is too small: use a larger one (parameter: {parameter})"
+
+
+def test_settings_that_are_not_parameters_are_not_appended() -> None:
+    error = StereoDepthError("P2 = 400 is not above P1 = 500", remedy="raise it", settings=("P2", "json_file"))
+    assert error_text(error) == "P2 = 400 is not above P1 = 500: raise it (parameter: P2)"
     assert error_text(StereoDepthError("broken")) == "broken"
 
 

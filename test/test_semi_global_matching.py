@@ -339,7 +339,7 @@ def test_images_with_hardly_any_texture_have_hardly_any_disparity() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"sgm_P1": 50, "sgm_P2": 50}, r"sgm_P2 = 50 is not above sgm_P1 = 50: raise sgm_P2"),
+        ({"sgm_P1": 50, "sgm_P2": 50}, r"sgm_P2 = 50 is not above sgm_P1 = 50: raise it"),
         ({"sgm_P1": 31, "sgm_P2": 163}, r"sgm_P1 \+ sgm_P2 = 194 is above 193.*lower one"),
         ({"sgm_paths": 6}, r"sgm_paths = 6 .*use 4 or 8"),
     ],

@@ -15,8 +15,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from stereo_depth_ros.core import installed_files
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.files import installed_files
 from stereo_depth_ros.nodes import transport
 from stereo_depth_ros.nodes.transport import prepare_process, profile_path
 

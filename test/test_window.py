@@ -235,7 +235,9 @@ def test_same_bytes_on_any_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_refused() -> None:
-    with pytest.raises(ConfigError, match="max_difference = 20 truncates sad, not ncc: use window_cost sad, or max_"):
+    with pytest.raises(
+        ConfigError, match="max_difference = 20 truncates sad, not ncc: use the cost sad, or no truncation"
+    ):
         create_matcher("window", window_cost="ncc", max_difference=20)
     with pytest.raises(ConfigError, match=r"disparities 2040\.\.2103 are searched"):
         create_matcher("window", min_disparity=2040)

@@ -12,7 +12,7 @@ from typing import Any
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.core.errors import CalibrationError, MessageError, TopicError
+from stereo_depth_ros.core.errors import CalibrationError, MessageError, StereoDepthError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
@@ -53,7 +53,7 @@ class BagInfo:
         rig: the rig of the first two camera infos.
         exact_pairs: pairs of equal stamps.
         near_pairs: pairs within ``tolerance_s``, equal stamps included.
-        problems: what prevents stereo depth, a sentence each with its remedy.
+        problems: errors, what prevents stereo depth.
         warnings: what else a user should know, a sentence each.
     """
 
@@ -68,7 +68,7 @@ class BagInfo:
     exact_pairs: int
     near_pairs: int
     tolerance_s: float
-    problems: tuple[str, ...]
+    problems: tuple[StereoDepthError, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -118,13 +118,13 @@ class _Inspection:
 
     def __init__(self, reader: BagReader) -> None:
         self._reader = reader
-        self.problems: list[str] = []
+        self.problems: list[StereoDepthError] = []
 
     def find_topics(self, left: str | None, right: str | None) -> StereoTopics | None:
         try:
             return find_stereo_topics(self._reader.msgtypes, left, right)
         except TopicError as error:
-            self.problems.append(str(error))
+            self.problems.append(error)
             return None
 
     def first_image(self, topic: str | None) -> ImageInfo | None:
@@ -134,7 +134,7 @@ class _Inspection:
         try:
             frame = decode(message, topic or "")
         except MessageError as error:
-            self.problems.append(str(error))
+            self.problems.append(error)
             return None
         height, width = frame.pixels.shape[:2]
         return ImageInfo(width, height, getattr(message, "encoding", "") or message.format)
@@ -146,7 +146,11 @@ class _Inspection:
             return None
         if stereo.left_info is None or stereo.right_info is None:
             self.problems.append(
-                f"no CameraInfo topics for {stereo.left_image} and {stereo.right_image}: record the camera infos too"
+                TopicError(
+                    f"no CameraInfo topics for {stereo.left_image} and {stereo.right_image}",
+                    value=(stereo.left_info, stereo.right_info),
+                    remedy="record the camera infos too",
+                )
             )
             return None
         infos = self._first(stereo.left_info), self._first(stereo.right_info)
@@ -158,7 +162,7 @@ class _Inspection:
                 if image is not None:
                     rig.check_image(image.width, image.height, topic)
         except CalibrationError as error:
-            self.problems.append(str(error))
+            self.problems.append(error)
             return None
         return rig
 
@@ -168,7 +172,7 @@ class _Inspection:
         try:
             stamps = self._stamps(stereo)
         except MessageError as error:
-            self.problems.append(str(error))
+            self.problems.append(error)
             return 0, 0
         near = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=tolerance_s)
         exact_pairs, near_pairs = _count_pairs(stamps, PairingConfig()), _count_pairs(stamps, near)
@@ -186,12 +190,12 @@ class _Inspection:
             return None
         message = next(self._reader.messages([topic]), None)
         if message is None:
-            self.problems.append(f"{topic} has no messages: record it again")
+            self.problems.append(TopicError(f"{topic} has no messages", value=0, remedy="record it again"))
             return None
         try:
             return self._reader.deserialize(message)
         except MessageError as error:
-            self.problems.append(str(error))
+            self.problems.append(error)
             return None
 
 
@@ -203,14 +207,22 @@ def _count_pairs(stamps: Iterable[tuple[bool, int]], config: PairingConfig) -> i
     return pairing.counts.paired
 
 
-def _no_pairs(stereo: StereoTopics, near_pairs: int, tolerance_s: float) -> str:
+def _no_pairs(stereo: StereoTopics, near_pairs: int, tolerance_s: float) -> TopicError:
     sides = f"no image of {stereo.left_image} has the stamp of one of {stereo.right_image}"
     if near_pairs:
-        return (
-            f"{sides}, but {near_pairs} pairs are within {tolerance_s:g} s: set approximate_sync and "
-            f"approximate_sync_tolerance_seconds = {tolerance_s:g}"
+        return TopicError(
+            f"{sides}, but {near_pairs} pairs are within {tolerance_s:g} s",
+            value=near_pairs,
+            limit=tolerance_s,
+            remedy=f"pair stamps that differ by up to {tolerance_s:g} s",
+            settings=("approximate_sync", "approximate_sync_tolerance_seconds"),
         )
-    return f"{sides}, and none is within {tolerance_s:g} s: synchronize the cameras and record again"
+    return TopicError(
+        f"{sides}, and none is within {tolerance_s:g} s",
+        value=0,
+        limit=tolerance_s,
+        remedy="synchronize the cameras and record again",
+    )
 
 
 def _summaries(reader: BagReader, duration_s: float) -> dict[str, TopicSummary]:

@@ -88,7 +88,7 @@ def open_sources(path: Path, types: RosbagsTypes, stack: ExitStack) -> list[BagS
             value=missing,
             remedy="copy the whole folder",
         )
-    files = files or sorted(file for file in path.iterdir() if _kind(file) in (".mcap", ".db3"))
+    files = files or sorted(file for file in path.iterdir() if _kind(file) in _ROSBAG2_KINDS)
     if not files:
         raise BagError("is not a bag, it holds no .mcap or .db3 file", subject=str(path), remedy=f"give {_KINDS}")
     packed_messages = str(metadata.get("compression_mode") or "").lower() == "message"
@@ -143,7 +143,7 @@ class _RosbagsSource:
 
 
 def _open_file(path: Path, types: RosbagsTypes, stack: ExitStack, *, packed_messages: bool) -> BagSource:
-    if _kind(path) not in (".mcap", ".db3", ".bag"):
+    if _kind(path) not in (*_ROSBAG2_KINDS, ".bag"):
         raise BagError("is not a bag", subject=str(path), remedy=f"give {_KINDS}")
     if not path.stat().st_size:
         raise BagError("is empty (0 bytes)", subject=str(path), value=0, remedy="record it again")

@@ -14,7 +14,7 @@ from stereo_depth_ros.cli.options import Json, Matcher, Overwrite, Separate, new
 from stereo_depth_ros.cli.run_report import finish_run
 from stereo_depth_ros.config.values import parse_assignments
 from stereo_depth_ros.core.errors import BagError
-from stereo_depth_ros.core.installed_files import installed_files
+from stereo_depth_ros.files.installed_files import installed_files
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.plots.bag_preview import save_bag_preview
 from stereo_depth_ros.replay.options import ReplayOptions

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.cli.errors import param_options
 from stereo_depth_ros.cli.options import Json, Left, Overwrite, Right, new_app
 from stereo_depth_ros.cli.output import progress_bar, show
 from stereo_depth_ros.cli.tables import facts_table, plain_table
@@ -111,7 +112,7 @@ def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
     remedies: dict[str, list[str]] = {}
     for finding in sorted(diagnosis.findings, key=lambda finding: -finding.level):
         if finding.level is not Level.OK and finding.remedy:
-            text = f"{finding.remedy} ({_options(finding.settings)})" if finding.settings else finding.remedy
+            text = f"{finding.remedy} ({param_options(finding.settings)})" if finding.settings else finding.remedy
             remedies.setdefault(text, []).append(finding.check)
     if remedies:
         table = plain_table("check", "remedy", title="what to do")
@@ -123,12 +124,6 @@ def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
     facts.add_row("images", f"{setup.left.image_topic}, {setup.right.image_topic}")
     facts.add_row("examined", f"{len(setup.pairs)} pairs of {setup.source}")
     if diagnosis.search:
-        facts.add_row("search", _options(diagnosis.search))
+        facts.add_row("search", param_options(diagnosis.search))
     facts.add_row("verdict", escape(diagnosis.verdict))
     yield facts
-
-
-def _options(settings: Mapping[str, bool | int | float]) -> str:
-    """Parameters as options of the other commands."""
-    values = {name: str(value).lower() if isinstance(value, bool) else f"{value:g}" for name, value in settings.items()}
-    return " ".join(f"--param {name}:={value}" for name, value in values.items())

@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from stereo_depth_ros.config import CONFIGS, parameter_infos
 from stereo_depth_ros.core.errors import StereoDepthError
 
-__all__ = ["command_options", "error_line", "error_text"]
+__all__ = ["command_options", "error_line", "error_text", "param_options"]
 
 
 def command_options(command: Any) -> set[str]:
@@ -37,6 +37,17 @@ def error_text(error: StereoDepthError | OSError, options: Collection[str] | Non
     found = [option for name in error.settings if (option := _option(name, options))]
     text = f"{error} ({', '.join(found)})" if found else str(error)
     return " ".join(text.splitlines())
+
+
+def param_options(values: Mapping[str, bool | int | float | str]) -> str:
+    """Parameter values as options: ``--param name:=value ...``."""
+    return " ".join(f"--param {name}:={_value_text(value)}" for name, value in values.items())
+
+
+def _value_text(value: bool | int | float | str) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _option(setting: str, options: Collection[str] | None) -> str | None:

@@ -8,6 +8,7 @@ import typer
 
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.cli.errors import error_text
 from stereo_depth_ros.cli.info_tables import info_tables, info_values
 from stereo_depth_ros.cli.options import Bag, Json, Left, Overwrite, Right, new_app
 from stereo_depth_ros.cli.output import EXIT_ERROR, messages, show, warn
@@ -36,7 +37,7 @@ def info(
     show(info_tables(found), info_values(found), json_file, overwrite=overwrite)
     for text in found.warnings:
         warn(text)
-    for text in found.problems:
-        messages.print(f"problem: {text}")
+    for problem in found.problems:
+        messages.print(f"problem: {error_text(problem)}", markup=False)
     if not found.usable:
         raise typer.Exit(EXIT_ERROR)

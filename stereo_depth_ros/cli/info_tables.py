@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from stereo_depth_ros.bags.info import BagInfo
+from stereo_depth_ros.cli.errors import error_text
 from stereo_depth_ros.cli.tables import facts_table, plain_table
 
 __all__ = ["info_tables", "info_values"]
@@ -45,7 +46,7 @@ def info_values(info: BagInfo) -> dict[str, Any]:
     values = {
         name: getattr(info, name) for name in ("start_ns", "duration_s", "exact_pairs", "near_pairs", "tolerance_s")
     }
-    values |= {name: list(getattr(info, name)) for name in ("problems", "warnings")}
+    values |= {"problems": [error_text(problem) for problem in info.problems], "warnings": list(info.warnings)}
     values["topics"] = {name: dataclasses.asdict(topic) for name, topic in info.topics.items()}
     for name in ("stereo", "left_image", "right_image"):
         found = getattr(info, name)

@@ -59,8 +59,10 @@ def prepare_kernels(config: MatchingConfig | None = None) -> None:
     with progress_bar("compiling kernels") as progress:
 
         def report(number: int, total: int) -> None:
-            progress(number - 1, total)
-            if not messages.is_terminal:
+            progress(max(number - 1, 0), total)
+            if not number:
+                messages.print("waiting for another process that compiles kernels")
+            elif not messages.is_terminal:
                 messages.print(f"compiling kernels, {number} of {total}")
 
         compile_kernels(report)

@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
+from stereo_depth_ros.cli.errors import param_options
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import show, warn
 from stereo_depth_ros.cli.tables import facts_table
@@ -217,8 +218,7 @@ def _table(result: dict[str, Any]) -> Table:
         facts.add_row(f"row error {name}", text)
     if not result["metric"]:
         facts.add_row("matches", f"{result['inliers']} of {result['matches']} fit the fundamental matrix")
-        search = " ".join(f"--param {name}:={value}" for name, value in result["recommended"].items())
-        facts.add_row("options", search)
+        facts.add_row("options", param_options(result["recommended"]))
     else:
         area = result["common_area"]
         facts.add_row("common area", f"{area['width']}x{area['height']} px from ({area['x']}, {area['y']})")

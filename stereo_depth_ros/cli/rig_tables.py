@@ -10,6 +10,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from stereo_depth_ros.cli.errors import param_options
 from stereo_depth_ros.cli.tables import facts_table, plain_table
 
 __all__ = ["rig_tables"]
@@ -97,7 +98,7 @@ def _summary(result: Mapping[str, Any], search_given: bool) -> Table:
     facts.add_row("overlap", "share of the rectified image width at that depth")
     names = ("min_disparity", "disparity_range")
     facts.add_row(f"from {advice['nearest_m']:.3g} m", ", ".join(f"{name}: {advice[name]}" for name in names))
-    facts.add_row("options", " ".join(f"--param {name}:={advice[name]}" for name in names))
+    facts.add_row("options", param_options({name: advice[name] for name in names}))
     if "plot" in result:
         facts.add_row("plot", escape(result["plot"]))
     return facts

@@ -82,13 +82,7 @@ class ParameterInfo:
         return value
 
     def _error(self, value: Any, problem: str, limit: object, remedy: str) -> ConfigError:
-        return ConfigError(
-            f"parameter {self.name} = {value!r} {problem}",
-            value=value,
-            limit=limit,
-            remedy=remedy,
-            settings=(self.name,),
-        )
+        return ConfigError(f"parameter {self.name} = {value!r} {problem}", value=value, limit=limit, remedy=remedy)
 
 
 def parameter(default: bool | int | float | str, doc: str, **info: Any) -> Any:

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import sys
 import tempfile
 import threading
+import time
 import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,6 +28,8 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., object])
 
 # Input images: numpy.frombuffer returns read-only arrays; writeable ones are accepted as well.
 READ_ONLY_U8 = numba.types.Array(numba.uint8, 2, "C", readonly=True)
+
+_LOCK_POLL_S, _WAITING_S = 0.1, 5.0
 
 _PYTHON = f"py{sys.version_info[0]}{sys.version_info[1]}"
 _pending: list[Kernel] = []  # kernels of the modules imported so far, neither compiled nor loaded
@@ -103,13 +107,14 @@ def compile_kernels(report: Callable[[int, int], object] = lambda number, total:
     Only one process of a user compiles at a time; the others wait and then load the code from disk.
 
     Args:
-        report: called with number and total before each kernel that has to be compiled.
+        report: called with number and total before each kernel that has to be compiled, and with number 0 every few
+            seconds while another process compiles.
     """
     with _pending_lock:
         if not _pending:
             return
         if any(not kernel.is_on_disk for kernel in _pending):
-            with _one_process_at_a_time():
+            with _one_process_at_a_time(lambda: report(0, len(_pending))):
                 missing = [kernel for kernel in _pending if not kernel.is_on_disk]
                 for number, kernel in enumerate(missing, start=1):
                     report(number, len(missing))
@@ -120,12 +125,21 @@ def compile_kernels(report: Callable[[int, int], object] = lambda number, total:
             _pending.pop(0)
 
 
-@contextmanager
-def _one_process_at_a_time() -> Iterator[None]:
-    """A lock between processes; none if the system has no flock."""
+def _locked(descriptor: int) -> bool:
+    """Take the lock if no other process has it."""
+    import fcntl
+
     try:
-        import fcntl
-    except ImportError:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+@contextmanager
+def _one_process_at_a_time(waiting: Callable[[], object]) -> Iterator[None]:
+    """A lock between processes; none if the system has no flock."""
+    if importlib.util.find_spec("fcntl") is None:
         yield
         return
     own = Path(__file__).parent / "__pycache__"
@@ -133,7 +147,12 @@ def _one_process_at_a_time() -> Iterator[None]:
     path = folder / f"stereo_depth_ros-kernels-{os.getuid()}.lock"
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        reported = time.monotonic()
+        while not _locked(descriptor):
+            time.sleep(_LOCK_POLL_S)
+            if time.monotonic() > reported + _WAITING_S:
+                waiting()
+                reported = time.monotonic()
         yield
     finally:
         os.close(descriptor)

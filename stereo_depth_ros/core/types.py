@@ -27,7 +27,7 @@ _CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3}
 
 def _checked(pixels: npt.NDArray[Any], encoding: str, name: str) -> U8:
     """The pixels as C-contiguous and read-only; ImageError if they do not match the encoding."""
-    if encoding not in _CHANNELS:
+    if not isinstance(encoding, str) or encoding not in _CHANNELS:
         raise ImageError(
             f"encoding = {encoding!r} is not one of {', '.join(_CHANNELS)}",
             subject=name,

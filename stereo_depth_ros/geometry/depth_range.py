@@ -126,7 +126,7 @@ def depth_range(
             f"the search ends at {search.max_disparity} px, below the disparity of infinity, {rig.doffs_px:.2f} px",
             value=search.max_disparity,
             limit=rig.doffs_px,
-            remedy="raise min_disparity or disparity_range",
+            remedy="search larger disparities",
             settings=("min_disparity", "disparity_range"),
         )
     last_px = search.min_disparity - rig.doffs_px

@@ -107,6 +107,7 @@ class Reconstruction:
                 subject=f"{self.level.value} reconstruction",
                 value=self.level.value,
                 limit=Level.UP_TO_SCALE.value,
+                remedy="reconstruct with the intrinsics of both cameras, without a baseline",
             )
         if not 0 < baseline_m < np.inf:
             raise CalibrationError(

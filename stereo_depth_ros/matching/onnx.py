@@ -56,7 +56,7 @@ class OnnxMatcher(SerialMatcher):
         self._output = _disparity_output(self._session.get_outputs(), config.onnx_model)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
-        check_pair(left, right, self.config)
+        check_pair(left, right, self)
         first = self.config.min_disparity
         wider = max(0, -first)
         ours = cv2.copyMakeBorder(left, 0, 0, wider, 0, cv2.BORDER_REPLICATE)
@@ -150,7 +150,7 @@ def _open(model: str) -> Any:
     return _session(model, status.st_mtime_ns, status.st_size)
 
 
-@functools.lru_cache(maxsize=1)
+@functools.lru_cache(maxsize=2)
 def _session(model: str, _mtime_ns: int, _size: int) -> Any:
     try:
         runtime = importlib.import_module("onnxruntime")

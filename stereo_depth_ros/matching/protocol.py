@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config.matchers import matchers_with
 from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 
@@ -60,7 +61,7 @@ def check_search(config: MatchingConfig) -> None:
             f"{LOWEST_DISPARITY}..{HIGHEST_DISPARITY} can be stored",
             value=(config.min_disparity, config.max_disparity),
             limit=(LOWEST_DISPARITY, HIGHEST_DISPARITY),
-            remedy="change min_disparity or lower disparity_range",
+            remedy="use a smaller search range",
             settings=("min_disparity", "disparity_range"),
         )
 
@@ -84,27 +85,32 @@ def check_images(left: U8, right: U8) -> None:
         )
 
 
-def check_pair(left: U8, right: U8, config: MatchingConfig, partial: bool = False) -> None:
+def check_pair(left: U8, right: U8, matcher: Matcher, partial: bool = False) -> None:
     """Raise ImageError if the images are not two uint8 (H, W) of one size, large enough for window and search range.
 
     Args:
+        left, right: the images.
+        matcher: its support is the window.
         partial: the method accepts pixels with only part of the range in the right image: one disparity is enough.
     """
     check_images(left, right)
+    config, (window_width, window_height) = matcher.config, matcher.support_px
     height, width = left.shape
     nearest = max(config.min_disparity, -config.max_disparity, 0)
     if partial and height and width > nearest:
         return
-    window = config.correlation_window_size
-    need = window + max(0, config.max_disparity) + max(0, -config.min_disparity)
-    if width < need or height < window:
+    need = window_width + max(0, config.max_disparity) + max(0, -config.min_disparity)
+    if width < need or height < window_height:
+        window = "correlation_window_size"
+        adjustable = matcher.name in matchers_with(window)
         raise ImageError(
-            f"images of {width} x {height} px (width x height), but a window of {window} px searched over disparities "
-            f"{config.min_disparity}..{config.max_disparity} needs {need} x {window} px",
+            f"images of {width} x {height} px (width x height), but a window of {window_width} x {window_height} px "
+            f"searched over disparities {config.min_disparity}..{config.max_disparity} needs "
+            f"{need} x {window_height} px",
             value=(width, height),
-            limit=(need, window),
-            remedy="lower disparity_range or correlation_window_size, or use larger images",
-            settings=("disparity_range", "correlation_window_size"),
+            limit=(need, window_height),
+            remedy=f"use a smaller search range{' or window' * adjustable}, or larger images",
+            settings=("disparity_range", window) if adjustable else ("disparity_range",),
         )
 
 

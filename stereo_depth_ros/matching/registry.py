@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from stereo_depth_ros.config import MatchingConfig, replace_checked
-from stereo_depth_ros.config.matchers import MATCHERS
+from stereo_depth_ros.config.matchers import MATCHERS, matcher_number
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.matching.protocol import Matcher
 
@@ -31,7 +31,7 @@ def create_matcher(name: str | int, config: MatchingConfig | None = None, **fiel
         ConfigError: unknown name, unknown parameter, or a value that is invalid for the config or the method.
     """
     names = list(MATCHERS)
-    number = names.index(name) if isinstance(name, str) and name in MATCHERS else name
+    number = matcher_number(name) if isinstance(name, str) and name in MATCHERS else name
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(names):
         known = ", ".join(f"{text} ({position})" for position, text in enumerate(names))
         raise ConfigError(

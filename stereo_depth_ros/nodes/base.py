@@ -32,7 +32,8 @@ _SILENCE_S = 5.0  # an input without a message for this time is reported
 
 def log_compilation(node: Node, number: int, total: int) -> None:
     """Log the progress of :func:`compile_kernels`."""
-    node.get_logger().info(f"compiling kernels, {number} of {total}")
+    text = f"compiling kernels, {number} of {total}" if number else "waiting for another process that compiles kernels"
+    node.get_logger().info(text)
 
 
 class Output:

@@ -186,9 +186,11 @@ def _resolved(node: Node, names: Sequence[str]) -> list[str]:
         try:
             resolved.append(node.resolve_topic_name(name))
         except (InvalidTopicNameException, RuntimeError) as error:  # rclpy's own error of rcl is a RuntimeError
-            why = str(error).splitlines()[0].removeprefix("failed to resolve name: ").partition(", at ")[0]
             raise TopicError(
-                f"{name!r} is not a topic name, {why}", value=name, remedy="name an image topic"
+                f"{name!r} is not a topic name",
+                value=name,
+                limit="letters, digits, _ and /; no digit after a /, no / at the end",
+                remedy="name an image topic, such as /left/image_raw",
             ) from error
     return resolved
 

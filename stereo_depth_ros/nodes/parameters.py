@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -28,7 +27,10 @@ _PARAMETERS: Mapping[str, str] = {
         for info in parameter_infos(config)
         for key in (info.field, info.name)
     },
+    # names of the library
     "matcher": "stereo_algorithm",
+    "model": "lens_model",
+    **{name: f"board_{name}" for name in ("size", "square", "marker", "dictionary", "spacing")},
 }
 # Parameters of rclpy
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
@@ -90,15 +92,13 @@ class NodeParameters:
 
 
 def error_text(error: StereoDepthError, parameters: Mapping[str, str] = _PARAMETERS) -> str:
-    """An error as a node reports it: with the parameters that its remedy is about, unless the text names them.
+    """An error as a node reports it: with the parameters that its remedy is about.
 
     Args:
         parameters: name of the parameter by name of the setting.
     """
-    text = str(error)
     names = [parameters[setting] for setting in error.settings if setting in parameters]
-    missing = [name for name in names if not re.search(rf"(?<![\w-]){name}\b", text)]
-    return f"{text} (parameter{'s' * (len(missing) > 1)}: {', '.join(missing)})" if missing else text
+    return f"{error} (parameter{'s' * (len(names) > 1)}: {', '.join(names)})" if names else str(error)
 
 
 def _names(config: type) -> set[str]:

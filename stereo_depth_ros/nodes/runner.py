@@ -48,8 +48,8 @@ def run(make_node: Callable[[], Node]) -> int:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         compile_kernels(functools.partial(log_compilation, node))
-        node.get_logger().info(f"ready; {transport}")
         announce_ready(node)
+        node.get_logger().info(f"ready; {transport}")
         executor.spin()
     except StereoDepthError as error:
         get_logger("stereo_depth_ros").fatal(error_text(error))

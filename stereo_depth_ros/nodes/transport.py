@@ -12,7 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.core.installed_files import installed_files
+from stereo_depth_ros.files.installed_files import installed_files
 
 __all__ = ["Setting", "TransportReport", "prepare_process", "profile_path"]
 

@@ -87,7 +87,7 @@ def pack_points(
             f"left image of {shape}, the disparities have {(height, width)} (rows, columns)",
             value=shape,
             limit=(height, width),
-            remedy="pass the left image of the disparities, or set use_color to false",
+            remedy="pass the left image of the disparities, or use no color",
             settings=("use_color",),
         )
     colors = color.reshape(height, width, -1)

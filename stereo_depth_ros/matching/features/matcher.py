@@ -107,7 +107,7 @@ class FeatureMatcher(SerialMatcher):
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         """Features are written to the pixels that contain them."""
-        check_pair(left, right, self.config)
+        check_pair(left, right, self)
         matches, lost_xy, why = self._find(left, right, MAX_ROW_DIFFERENCE_PX)
         reasons = np.full(left.shape, Reason.NO_MATCH, np.uint8)
         reasons[nearest_pixels(lost_xy, left)] = why
@@ -131,7 +131,7 @@ class FeatureMatcher(SerialMatcher):
         Raises:
             ImageError: see :class:`~stereo_depth_ros.matching.protocol.Matcher`.
         """
-        check_pair(left, right, self.config)
+        check_pair(left, right, self)
         return self._find(left, right, max_row_difference_px)[0]
 
     def _find(self, left: U8, right: U8, max_row_difference_px: float) -> tuple[FeatureMatches, F64, U8]:

@@ -66,7 +66,7 @@ class DiffusionMatcher(SerialMatcher):
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
-        check_pair(left, right, config)
+        check_pair(left, right, self)
         rows = left.shape[0]
         data = np.empty((*left.shape, config.num_disparities), np.float32)
         images = (match_photometric(left, right, config), np.ascontiguousarray(right))

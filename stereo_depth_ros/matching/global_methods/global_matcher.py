@@ -59,7 +59,7 @@ class GlobalMatcher(SerialMatcher):
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
-        check_pair(left, right, config)
+        check_pair(left, right, self)
         columns = searched_columns(config, left.shape[1])
         disparity_x16 = np.zeros(left.shape, np.int16)
         reasons = np.full(left.shape, Reason.BORDER, np.uint8)

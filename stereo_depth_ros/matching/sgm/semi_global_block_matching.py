@@ -81,7 +81,7 @@ class SemiGlobalBlockMatcher(SerialMatcher):
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
-        check_pair(left, right, config)
+        check_pair(left, right, self)
         disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
         if self._disparity_x16.shape != left.shape:

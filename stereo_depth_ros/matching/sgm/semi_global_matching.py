@@ -84,7 +84,7 @@ class SemiGlobalMatcher(SerialMatcher):
         self._census: U64 = np.empty((2, 0, 0), np.uint64)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
-        check_pair(left, right, self.config, partial=True)
+        check_pair(left, right, self, partial=True)
         disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
         margin = np.empty(left.shape, np.float32)
@@ -126,7 +126,7 @@ def _check_penalties(config: MatchingConfig) -> None:
             f"sgm_P2 = {config.sgm_P2} is not above sgm_P1 = {config.sgm_P1}",
             value=config.sgm_P2,
             limit=config.sgm_P1,
-            remedy="raise sgm_P2",
+            remedy="raise it",
             settings=("sgm_P2",),
         )
     if total > largest:

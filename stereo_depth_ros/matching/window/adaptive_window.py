@@ -70,7 +70,7 @@ class AdaptiveWindowMatcher(SerialMatcher):
         self._initial = WindowMatcher(unchecked)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
-        check_pair(left, right, self.config)
+        check_pair(left, right, self)
         initial, checked = self._initial.match(left, right), self._checked.match(left, right)
         disparity_x16 = self._refine(left, right, initial)
         return finish(disparity_x16, checked.reasons, self.config, self.step_px)

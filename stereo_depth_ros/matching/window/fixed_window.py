@@ -61,14 +61,14 @@ class WindowMatcher(SerialMatcher):
                 f"max_difference = {config.max_difference} truncates sad, not {config.window_cost}",
                 value=config.max_difference,
                 limit=0,
-                remedy="use window_cost sad, or max_difference 0",
+                remedy="use the cost sad, or no truncation",
                 settings=("max_difference", "window_cost"),
             )
         super().__init__(config)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         config = self.config
-        check_pair(left, right, config)
+        check_pair(left, right, self)
         disparity_x16 = np.zeros(left.shape, np.int16)
         reasons = np.empty(left.shape, np.uint8)
         side = config.correlation_window_size
