@@ -27,7 +27,7 @@ _CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3}
 
 def _checked(pixels: npt.NDArray[Any], encoding: str, name: str) -> U8:
     """The pixels as C-contiguous and read-only; ImageError if they do not match the encoding."""
-    if encoding not in _CHANNELS:
+    if not isinstance(encoding, str) or encoding not in _CHANNELS:
         raise ImageError(
             f"encoding = {encoding!r} is not one of {', '.join(_CHANNELS)}",
             subject=name,
@@ -104,6 +104,9 @@ class Frame:
         same = (self.stamp_ns, self.frame_id, self.encoding) == (other.stamp_ns, other.frame_id, other.encoding)
         return same and np.array_equal(self.pixels, other.pixels)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.pixels, self.stamp_ns, self.frame_id, self.encoding)  # copies are read-only too
+
     __hash__ = None  # type: ignore[assignment]
 
 
@@ -169,6 +172,9 @@ class RectifiedPair:
             return NotImplemented
         same = all(np.array_equal(getattr(self, n), getattr(other, n)) for n in ("left", "right", "left_color"))
         return same and self.color_encoding == other.color_encoding
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.left, self.right, self.left_color, self.color_encoding)  # copies are read-only too
 
     __hash__ = None  # type: ignore[assignment]
 
