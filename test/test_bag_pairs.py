@@ -141,3 +141,10 @@ def test_missing_bag_and_impossible_part_are_refused(tmp_path: Path) -> None:
         BagPairs(BagSelection(tmp_path / "none.mcap"), EXACT)
     with pytest.raises(ConfigError, match=r"start_seconds = -1\.0 is outside 0\.\.1e9 s"):
         BagSelection(tmp_path, start_seconds=-1.0)
+
+
+@pytest.mark.parametrize("name", ["start_seconds", "duration_seconds"])
+def test_the_largest_value_in_the_message_is_allowed(name: str) -> None:
+    assert getattr(BagSelection(Path("a.mcap"), **{name: 1e9}), name) == 1e9  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=rf"{name} = 1000000001\.0 is outside 0\.\.1e9 s"):
+        BagSelection(Path("a.mcap"), **{name: 1e9 + 1})  # type: ignore[arg-type]

@@ -501,8 +501,8 @@ def test_pairs_without_times_are_counted_at_the_rate(tmp_path: Path) -> None:
     with BagReader(tmp_path / "out.mcap") as reader:
         stamps = [m.log_time_ns for m in reader.messages(["/right/image_raw"])]
     assert stamps == [1_000_000_000, 1_250_000_000, 1_500_000_000]
-    for rate_hz in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(ConfigError, match=r"rate_hz = .* is not a finite number above 0"):
+    for rate_hz in (0.0, -1.0, float("nan"), float("inf"), 1e-300, 1e-12, 1e10, 1e300):
+        with pytest.raises(ConfigError, match=r"rate_hz = .* is outside 0\.001\.\.1e\+06: set pairs per second"):
             convert_dataset(dataset, tmp_path / "other.mcap", rate_hz=rate_hz)
     with pytest.raises(BagError, match=r"out\.mcap: already exists"):
         convert_dataset(dataset, tmp_path / "out.mcap")
@@ -588,3 +588,28 @@ def test_real_euroc(stereo_data: Path, tmp_path: Path) -> None:
     info = inspect_bag(tmp_path / "euroc.mcap")
     assert info.usable and info.exact_pairs == 24
     assert info.duration_s == pytest.approx(23 * 0.05, abs=1e-6)
+
+
+def test_kitti_matrix_with_missing_numbers(tmp_path: Path) -> None:
+    folder = make_kitti(tmp_path)
+    (folder / "calib.txt").write_text(f"P0: {P0}\nP1: 50 0 20\n")
+    with pytest.raises(BagError, match=r"P1 of the KITTI calibration has 3 numbers, not 12: copy") as caught:
+        KittiDataset(folder)
+    assert (caught.value.value, caught.value.limit) == (3, 12)
+
+
+def test_images_of_another_size_after_the_first_pair(tmp_path: Path) -> None:
+    names = {f"{side}/{number}.png": number for side in ("left", "right") for number in (1, 2)}
+    folder = make_images(tmp_path, names)
+    image(folder / "right" / "2.png", (WIDTH, HEIGHT - 2))
+    with pytest.raises(CalibrationError, match=rf"right/2\.png.* {WIDTH}x{HEIGHT - 2}"):
+        convert_dataset(ImagesDataset(folder), tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_unreadable_images_are_reported_without_the_text_of_opencv(tmp_path: Path) -> None:
+    (tmp_path / "empty.png").write_bytes(b"")
+    with pytest.raises(BagError, match=r"empty\.png: is not a readable image: copy it again$"):
+        read_image(tmp_path / "empty.png")
+    with pytest.raises(BagError, match=r"gone\.png: is not a readable image \(No such file or directory\): check the"):
+        read_image(tmp_path / "gone.png")

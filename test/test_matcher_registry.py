@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stereo_depth_ros.config import CONFIGS, MatchingConfig, matchers, parameter_infos
+from stereo_depth_ros.config import CONFIGS, MatchingConfig, PipelineConfig, matchers, parameter_infos
+from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import U8, MatchResult
 from stereo_depth_ros.matching import MATCHERS, create_matcher, onnx, registry
 from stereo_depth_ros.matching.costs.census import census_rows
@@ -148,3 +149,9 @@ def test_a_new_matcher_is_one_module_and_one_entry(monkeypatch: pytest.MonkeyPat
         monkeypatch.undo()
         matching.MatchingConfig = CONFIGS["matching"]  # type: ignore[attr-defined]
         registry._matcher_class.cache_clear()
+
+
+@pytest.mark.parametrize("config", [PipelineConfig(), {}, {"P1": 3.0}])
+def test_a_config_of_another_type_is_refused(config: Any) -> None:
+    with pytest.raises(ConfigError, match=r"config is (PipelineConfig|dict), a matcher takes MatchingConfig: pass"):
+        create_matcher("sgbm", config)

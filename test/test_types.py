@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -81,3 +84,20 @@ def test_rectified_pairs_are_equal_by_value() -> None:
     assert pair == RectifiedPair(GRAY.copy(), GRAY + 1, COLOR.copy(), "rgb8")
     assert pair != RectifiedPair(GRAY, GRAY, COLOR, "rgb8")
     assert pair != RectifiedPair(GRAY, GRAY + 1, COLOR, "bgr8")
+
+
+@pytest.mark.parametrize("encoding", [["rgb8"], {"rgb8": 3}])
+def test_frame_refuses_an_encoding_that_is_not_text(encoding: Any) -> None:
+    with pytest.raises(ImageError, match=r"encoding = .* is not one of mono8, rgb8, bgr8"):
+        Frame(COLOR, 1, "left", encoding)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+def test_copies_of_frames_and_pairs_are_equal_and_read_only(duplicate: Callable[[Any], Any]) -> None:
+    frame = Frame(COLOR, 1, "left", "rgb8")
+    rectified = RectifiedPair(GRAY, GRAY + 1, COLOR, "bgr8")
+    assert duplicate(frame) == frame and duplicate(rectified) == rectified
+    assert duplicate(StereoPair(frame, frame)) == StereoPair(frame, frame)
+    assert not duplicate(frame).pixels.flags.writeable
+    copied = duplicate(rectified)
+    assert not any(getattr(copied, name).flags.writeable for name in ("left", "right", "left_color"))

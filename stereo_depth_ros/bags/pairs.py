@@ -45,7 +45,7 @@ class BagSelection:
     def __post_init__(self) -> None:
         for name in ("start_seconds", "duration_seconds"):
             value = getattr(self, name)
-            if not 0 <= value < 1e9:
+            if not 0 <= value <= 1e9:
                 raise ConfigError(
                     f"{name} = {value} is outside 0..1e9 s",
                     value=value,

@@ -104,6 +104,9 @@ class Frame:
         same = (self.stamp_ns, self.frame_id, self.encoding) == (other.stamp_ns, other.frame_id, other.encoding)
         return same and np.array_equal(self.pixels, other.pixels)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.pixels, self.stamp_ns, self.frame_id, self.encoding)  # copies are read-only too
+
     __hash__ = None  # type: ignore[assignment]
 
 
@@ -169,6 +172,9 @@ class RectifiedPair:
             return NotImplemented
         same = all(np.array_equal(getattr(self, n), getattr(other, n)) for n in ("left", "right", "left_color"))
         return same and self.color_encoding == other.color_encoding
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.left, self.right, self.left_color, self.color_encoding)  # copies are read-only too
 
     __hash__ = None  # type: ignore[assignment]
 

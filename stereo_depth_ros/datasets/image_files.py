@@ -57,8 +57,12 @@ def read_disparity_image(path: Path) -> npt.NDArray[Any]:
 def _read(path: Path, flags: int) -> npt.NDArray[Any]:
     try:
         pixels = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), flags)
-    except (OSError, cv2.error) as error:
-        raise BagError(f"is not a readable image ({error})", subject=str(path), remedy="copy it again") from error
+    except OSError as error:
+        raise BagError(
+            f"is not a readable image ({error.strerror})", subject=str(path), remedy="check the path"
+        ) from error
+    except cv2.error:  # an empty file, for example; the text of OpenCV is not for users
+        pixels = None
     if pixels is None:
         raise BagError("is not a readable image", subject=str(path), remedy="copy it again")
     return np.asarray(pixels)

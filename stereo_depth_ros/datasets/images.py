@@ -55,7 +55,11 @@ class ImagesDataset:
 
     def __iter__(self) -> Iterator[DatasetFrame]:
         for left, right in self._pairs:
-            yield DatasetFrame(read_frame(left, self.rig.left), read_frame(right, self.rig.right))
+            frames = read_frame(left, self.rig.left), read_frame(right, self.rig.right)
+            for path, frame in zip((left, right), frames, strict=True):
+                height, width = frame.pixels.shape[:2]
+                self.rig.check_image(width, height, str(path))
+            yield DatasetFrame(*frames)
 
 
 def _named(rig: StereoRig) -> StereoRig:

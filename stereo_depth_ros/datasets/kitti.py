@@ -123,7 +123,7 @@ def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size:
         size: (width, height) of the images, pixels.
 
     Raises:
-        BagError: the calibration lacks these cameras.
+        BagError: the calibration lacks these cameras, or a matrix is incomplete.
         CalibrationError: the calibration is not that of a rectified pair.
     """
     left, right = cameras
@@ -148,18 +148,31 @@ def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size:
 
 def _projection(values: dict[str, F64], camera: int) -> F64:
     name = f"P{camera}" if f"P{camera}" in values else f"P_rect_{camera:02d}"
-    return values[name].reshape(3, 4)
+    return _matrix(values, name, (3, 4))
+
+
+def _matrix(values: dict[str, F64], name: str, shape: tuple[int, int]) -> F64:
+    """The values of one row as a matrix; KeyError if the row is missing."""
+    found = values[name]
+    if found.size != shape[0] * shape[1]:
+        raise BagError(
+            f"{name} of the KITTI calibration has {found.size} numbers, not {shape[0] * shape[1]}",
+            value=found.size,
+            limit=shape[0] * shape[1],
+            remedy="copy the calibration again",
+        )
+    return found.reshape(shape)
 
 
 def _raw_camera(values: dict[str, F64], camera: int, rectified: CameraModel) -> CameraModel:
-    K, D, R = (values[f"{name}_{camera:02d}"] for name in ("K", "D", "R_rect"))
+    K, R = (_matrix(values, f"{name}_{camera:02d}", (3, 3)) for name in ("K", "R_rect"))
     return CameraModel(
         rectified.width,
         rectified.height,
         "plumb_bob",
-        K.reshape(3, 3),
-        D,
-        R.reshape(3, 3),
+        K,
+        values[f"D_{camera:02d}"],
+        R,
         rectified.P,
         rectified.frame_id,
     )

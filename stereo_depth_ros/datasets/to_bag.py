@@ -23,6 +23,7 @@ from stereo_depth_ros.messages.image import image_message
 
 __all__ = ["convert_dataset"]
 
+_MIN_RATE_HZ, _MAX_RATE_HZ = 1e-3, 1e6  # stamps fit into a ROS time, and differ
 _FIRST_STAMP_NS = 10**9  # a ROS time of 0 means that no time is set
 _TRUTH_STEP_PX = 1 / 256  # the smallest step in which one of the datasets stores its truth
 
@@ -48,15 +49,15 @@ def convert_dataset(
         The number of pairs written.
 
     Raises:
-        ConfigError: the rate is not positive.
+        ConfigError: the rate is outside 0.001..1e6 Hz.
         BagError: the dataset cannot be read.
         OutputError: the bag exists and ``overwrite`` is false, or it is read, or it cannot be written.
     """
-    if not (rate_hz > 0 and math.isfinite(rate_hz)):
+    if not _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ:
         raise ConfigError(
-            f"rate_hz = {rate_hz} is not a finite number above 0",
+            f"rate_hz = {rate_hz} is outside {_MIN_RATE_HZ:g}..{_MAX_RATE_HZ:g}",
             value=rate_hz,
-            limit=0,
+            limit=(_MIN_RATE_HZ, _MAX_RATE_HZ),
             remedy="set pairs per second, for example 10",
             settings=("rate_hz",),
         )

@@ -28,7 +28,7 @@ def create_matcher(name: str | int, config: MatchingConfig | None = None, **fiel
         fields: parameters that differ from ``config``, by field name or public name (``disparity_range``).
 
     Raises:
-        ConfigError: unknown name, unknown parameter, or a value that is invalid for the config or the method.
+        ConfigError: unknown name or parameter, another type of config, or a value invalid for the config or the method.
     """
     names = list(MATCHERS)
     number = matcher_number(name) if isinstance(name, str) and name in MATCHERS else name
@@ -40,6 +40,13 @@ def create_matcher(name: str | int, config: MatchingConfig | None = None, **fiel
             limit=tuple(names),
             remedy=f"known are {known}",
             settings=("matcher",),
+        )
+    if config is not None and not hasattr(config, "stereo_algorithm"):
+        raise ConfigError(
+            f"config is {type(config).__name__}, a matcher takes MatchingConfig",
+            value=type(config).__name__,
+            limit="MatchingConfig",
+            remedy="pass PipelineConfig.matching, or the parameters by name",
         )
     changes = {**fields, "stereo_algorithm": number}
     return _matcher_class(names[number])(replace_checked(config or MatchingConfig(), changes))
