@@ -81,7 +81,7 @@ def test_one_iteration_is_the_definition() -> None:
         expected, extent, other = plain_disparity(maps, y, x)
         sizes.add(tuple(extent))
         taken_over += other
-        # Sums are float32, of which the brightness is taken away.
+        # Sums are float32, from which the gray offset is subtracted.
         assert after[y, x] == pytest.approx(expected, abs=5e-3), (y, x, extent)
     assert len(sizes) > 20  # windows of many shapes
     assert taken_over >= 3

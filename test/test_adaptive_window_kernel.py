@@ -41,7 +41,7 @@ def test_a_window_is_the_definition(y: int, x: int, center: float) -> None:
     assert expected is not None
     increment, surprise, grown = compiled_window(maps, y, x, center)
     assert grown == extent
-    # Sums are float32, of which the brightness is taken away.
+    # Sums are float32, from which the gray offset is subtracted.
     assert increment == pytest.approx(expected.increment, abs=5e-3)
     assert surprise == pytest.approx(expected.surprise, abs=5e-3)
 

@@ -90,9 +90,9 @@ def test_bag(run: Run, tmp_path: Path, photographs: list[tuple[U8, U8]]) -> None
     ("arguments", "text"),
     [
         (("--size", "9"), "board size '9' is not columns x rows: write it as 9x6"),
-        (("--board", "circles"), "'circles' is none of chessboard, charuco, aprilgrid"),
-        (("--model", "fisheye"), "'fisheye' is none of plumb_bob"),
-        (("--square", "25"), "25 mm are 0.025"),
+        (("--board", "circles"), "'circles' is not one of chessboard, charuco, aprilgrid"),
+        (("--model", "fisheye"), "'fisheye' is not one of plumb_bob"),
+        (("--square", "25"), "25 mm is 0.025"),
         (("--size", "8x6"), "but one of 7x5 in"),
         (("--json", "nowhere/r.json"), "folder nowhere does not exist"),
     ],
