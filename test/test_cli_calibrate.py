@@ -113,7 +113,7 @@ def test_too_few_views(run: Run, tmp_path: Path, folder: Path) -> None:
     code, _, err = run(folder, *BOARD, "-o", tmp_path / "out")
     assert code == 1
     text = " ".join(err.split())
-    assert "3 views of the board, at least 5 are needed" in text
+    assert "3 views of the board, at least 5 are required" in text
     assert "(4 pairs examined; no board in 1 of 4 pairs: 8.png)" in text
 
 
