@@ -14,7 +14,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 .DEFAULT_GOAL := help
 .PHONY: help demo test venv lint bench config docs clean
 
-help: ## say what can be made
+help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile
 
 demo: venv ## play the sample bag through the live graph; prints a table, writes a bag and an image
@@ -49,7 +49,7 @@ SYSTEM_ROS := import sys, numpy, rclpy, stereo_msgs.msg; \
 
 # Where ROS 2 is sourced its rclpy is used, with the numpy it was built for; elsewhere the wheels of the extra [ros].
 $(STAMP): setup.py setup.cfg package.xml
-	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not there: install it, or make ... PYTHON=python3.x" >&2; exit 1; }
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is missing: install it, or make ... PYTHON=python3.x" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' \
 	  || { echo "$$($(PYTHON) -V) is not among Python 3.10 to 3.13: make ... PYTHON=python3.12" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null \

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.core.types import F64, U8
-from stereo_depth_ros.matching.window import adaptive_window_kernel as window_growth
+from stereo_depth_ros.matching.window import adaptive_window_kernel
 
 __all__ = ["Estimate", "grown_window", "warped_pair"]
 
@@ -54,7 +54,7 @@ def window_estimate(maps: list[F64], y: int, x: int, center: float, extent: list
     gradient = np.array([np.interp(at, grid, slope[row]) for row in rows])
     distance = np.hypot(rows[:, None] - y, columns - x)
     spread = np.mean(np.divide((near - center) ** 2, distance, out=np.zeros_like(distance), where=distance > 0))
-    variance = window_growth.NOISE_POWER + np.mean(gradient**2) * spread * np.rint(distance)
+    variance = adaptive_window_kernel.NOISE_POWER + np.mean(gradient**2) * spread * np.rint(distance)
     weight = 1 / variance
     difference = there - left[np.ix_(rows, columns)]
     difference = difference - np.average(difference, weights=weight)
@@ -73,7 +73,7 @@ def grown_window(maps: list[F64], y: int, x: int, center: float) -> tuple[Estima
     while here is not None:
         grown: dict[int, Estimate] = {}
         for side in range(4):
-            if side in closed or extent[side] == window_growth.REACH:
+            if side in closed or extent[side] == adaptive_window_kernel.REACH:
                 continue
             trial = list(extent)
             trial[side] += 1

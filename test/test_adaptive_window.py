@@ -18,8 +18,7 @@ from stereo_depth_ros.core import bands as parallel
 from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.types import F32, F64, MatchResult, Reason
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.matching.window import adaptive_window
-from stereo_depth_ros.matching.window import adaptive_window_kernel as window_growth
+from stereo_depth_ros.matching.window import adaptive_window, adaptive_window_kernel
 
 UNCHECKED: dict[str, Any] = {
     "num_disparities": 32,
@@ -57,7 +56,7 @@ def refined(left: F32, right: F32, before: F32) -> F32:
     slope = np.zeros_like(right)
     slope[:, 1:-1] = (right[:, 2:] - right[:, :-2]) / 2
     after = np.empty_like(before)
-    tables = (*window_growth.distances(), *window_growth.scratch(1))
+    tables = (*adaptive_window_kernel.distances(), *adaptive_window_kernel.scratch(1))
     adaptive_window._refine_rows(0, len(left), (left, right, slope, before), *tables, after)
     return after
 
@@ -81,7 +80,7 @@ def test_one_iteration_is_the_definition() -> None:
         expected, extent, other = plain_disparity(maps, y, x)
         sizes.add(tuple(extent))
         taken_over += other
-        # Sums are float32, of which the brightness is taken away.
+        # Sums are float32, from which the gray offset is subtracted.
         assert after[y, x] == pytest.approx(expected, abs=5e-3), (y, x, extent)
     assert len(sizes) > 20  # windows of many shapes
     assert taken_over >= 3

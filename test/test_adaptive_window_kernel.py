@@ -9,7 +9,7 @@ import pytest
 from adaptive_window_definition import grown_window, warped_pair
 
 from stereo_depth_ros.core.types import F64
-from stereo_depth_ros.matching.window import adaptive_window_kernel as window_growth
+from stereo_depth_ros.matching.window import adaptive_window_kernel
 
 
 def compiled_window(maps: list[F64], y: int, x: int, center: float) -> tuple[float, float, list[int]]:
@@ -17,9 +17,11 @@ def compiled_window(maps: list[F64], y: int, x: int, center: float) -> tuple[flo
     left, right, before = (image.astype(np.float32) for image in maps)
     slope = np.zeros_like(right)
     slope[:, 1:-1] = (right[:, 2:] - right[:, :-2]) / 2
-    sums, extents = window_growth.scratch(1)
-    tables = (*window_growth.distances(), sums[0], extents[0, 0], extents[0, 1])
-    increment, surprise = window_growth.grow_window((left, right, slope, before), np.float32(center), y, x, *tables)
+    sums, extents = adaptive_window_kernel.scratch(1)
+    tables = (*adaptive_window_kernel.distances(), sums[0], extents[0, 0], extents[0, 1])
+    increment, surprise = adaptive_window_kernel.grow_window(
+        (left, right, slope, before), np.float32(center), y, x, *tables
+    )
     return increment, surprise, list(extents[0, 0])
 
 
@@ -41,7 +43,7 @@ def test_a_window_is_the_definition(y: int, x: int, center: float) -> None:
     assert expected is not None
     increment, surprise, grown = compiled_window(maps, y, x, center)
     assert grown == extent
-    # Sums are float32, of which the brightness is taken away.
+    # Sums are float32, from which the gray offset is subtracted.
     assert increment == pytest.approx(expected.increment, abs=5e-3)
     assert surprise == pytest.approx(expected.surprise, abs=5e-3)
 

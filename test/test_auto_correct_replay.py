@@ -61,11 +61,11 @@ def write_street(data: Path, path: Path, turn_deg: float) -> Path:
     return path
 
 
-def play(bag: Path, output: Path, health: str) -> Played:
+def play(bag: Path, output: Path, monitor: str) -> Played:
     os.environ.update(ENVIRONMENT)
     config = PipelineConfig(matching=MatchingConfig(num_disparities=128))
     options = ReplayOptions(bag=str(bag), output=str(output))
-    result = replay_through_graph(options, "fused", PARAMETERS, config, lambda *_: None, None, health)  # type: ignore[arg-type]
+    result = replay_through_graph(options, "fused", PARAMETERS, config, lambda *_: None, None, monitor)  # type: ignore[arg-type]
     assert result.lost == 0
     images: dict[str, list[U8]] = {"left": [], "right": []}
     densities = []
@@ -119,8 +119,8 @@ def test_the_bag_has_the_correction_for_late_subscribers_too(corrected: Played) 
         (profile,) = connection.ext.offered_qos_profiles  # type: ignore[union-attr]
         assert profile.durability.name == "TRANSIENT_LOCAL"
         assert profile.reliability.name == "RELIABLE"
-        told: list[Any] = [reader.deserialize(data, connection.msgtype) for _, _, data in reader.messages([connection])]
-        values = {item.key: item.value for item in told[-1].status[0].values}
+        text: list[Any] = [reader.deserialize(data, connection.msgtype) for _, _, data in reader.messages([connection])]
+        values = {item.key: item.value for item in text[-1].status[0].values}
         assert float(values["pitch_deg"]) == pytest.approx(0.3, abs=0.03)
         assert int(values["steps"]) >= 1
         assert "/health/row_error" in reader.topics

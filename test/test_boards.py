@@ -166,11 +166,11 @@ def test_square_chessboards_are_counted_equally_when_rotated_by_90_degrees() -> 
 
 
 def test_invalid_boards() -> None:
-    with pytest.raises(ConfigError, match=r"'circles' is none of chessboard, charuco, aprilgrid"):
+    with pytest.raises(ConfigError, match=r"'circles' is not one of chessboard, charuco, aprilgrid"):
         create_board("circles", (9, 6), 0.025)
     with pytest.raises(ConfigError, match=r"size 9x2 is below 3x3: count the inner corners"):
         create_board("chessboard", (9, 2), 0.025)
-    with pytest.raises(ConfigError, match=r"square 25 m is outside .* 25 mm are 0\.025"):
+    with pytest.raises(ConfigError, match=r"square 25 m is outside .* 25 mm is 0\.025"):
         create_board("chessboard", (9, 6), 25)
 
 
@@ -178,7 +178,7 @@ def test_invalid_boards() -> None:
 def test_invalid_marker_boards() -> None:
     with pytest.raises(ConfigError, match=r"marker 0\.05 m is not within 0\.\.0\.03 m"):
         create_board("charuco", (7, 5), 0.03, marker_m=0.05)
-    with pytest.raises(ConfigError, match=r"'DICT_9X9' is none of .*DICT_4X4_50"):
+    with pytest.raises(ConfigError, match=r"'DICT_9X9' is not one of .*DICT_4X4_50"):
         create_board("charuco", (7, 5), 0.03, dictionary="DICT_9X9")
     with pytest.raises(ConfigError, match=r"DICT_4X4_50 has 50 markers, 12x10 squares have 60: use the dictionary"):
         create_board("charuco", (12, 10), 0.03)

@@ -194,7 +194,7 @@ def test_baselines_that_no_rotation_makes_horizontal(t: list[float], text: str) 
 
 def test_invalid_arguments() -> None:
     sides = cameras("plumb_bob")
-    with pytest.raises(ConfigError, match="'bouguet' is none of textbook, opencv"):
+    with pytest.raises(ConfigError, match="'bouguet' is not one of textbook, opencv"):
         rectify_calibrated(*sides, POSE, method="bouguet")
     with pytest.raises(ConfigError, match=r"alpha = 1\.5 is outside 0\.\.1"):
         rectify_calibrated(*sides, POSE, alpha=1.5)

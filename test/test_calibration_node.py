@@ -138,7 +138,7 @@ def commit(graph: Graph, refusing: str = "") -> dict[str, Any]:
         if refusing:
             assert not success
             assert f"/{refusing}/set_camera_info: refused, read-only" in text
-            assert ("left driver has its new camera info already" in text) == (refusing == "right")
+            assert ("left driver has already accepted its new CameraInfo" in text) == (refusing == "right")
         else:
             assert (success, text) == (True, "both drivers have accepted their camera infos")
     finally:

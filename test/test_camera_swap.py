@@ -16,7 +16,7 @@ import pytest
 
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import U8
-from stereo_depth_ros.stages import camera_swap as swapped_eyes
+from stereo_depth_ros.stages import camera_swap
 from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
@@ -57,13 +57,13 @@ def test_no_thread_passes_swapped_cameras_while_another_checks(
     verged_pair: tuple[U8, U8, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     left, right, doffs_px = verged_pair
-    smooth_share = swapped_eyes._smooth_share
+    smooth_share = camera_swap._smooth_share
 
     def slow(*pair: Any) -> float:
         time.sleep(0.05)
         return smooth_share(*pair)
 
-    monkeypatch.setattr(swapped_eyes, "_smooth_share", slow)
+    monkeypatch.setattr(camera_swap, "_smooth_share", slow)
     order, start = CameraSwapDetector(doffs_px), threading.Barrier(2)
 
     def refused(_: int) -> bool:

@@ -90,9 +90,9 @@ def test_bag(run: Run, tmp_path: Path, photographs: list[tuple[U8, U8]]) -> None
     ("arguments", "text"),
     [
         (("--size", "9"), "board size '9' is not columns x rows: write it as 9x6"),
-        (("--board", "circles"), "'circles' is none of chessboard, charuco, aprilgrid"),
-        (("--model", "fisheye"), "'fisheye' is none of plumb_bob"),
-        (("--square", "25"), "25 mm are 0.025"),
+        (("--board", "circles"), "'circles' is not one of chessboard, charuco, aprilgrid"),
+        (("--model", "fisheye"), "'fisheye' is not one of plumb_bob"),
+        (("--square", "25"), "25 mm is 0.025"),
         (("--size", "8x6"), "but one of 7x5 in"),
         (("--json", "nowhere/r.json"), "folder nowhere does not exist"),
     ],
@@ -113,7 +113,7 @@ def test_too_few_views(run: Run, tmp_path: Path, folder: Path) -> None:
     code, _, err = run(folder, *BOARD, "-o", tmp_path / "out")
     assert code == 1
     text = " ".join(err.split())
-    assert "3 views of the board, at least 5 are needed" in text
+    assert "3 views of the board, at least 5 are required" in text
     assert "(4 pairs examined; no board in 1 of 4 pairs: 8.png)" in text
 
 

@@ -96,7 +96,7 @@ def test_wrong_input(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     for arguments, text in (
         (pair, "neither --rig nor --uncalibrated is given"),
         ((*pair, "--uncalibrated", "--method", "opencv"), "--method opencv needs a calibration"),
-        ((*pair, "--rig", tmp_path / "rig", "--method", "bouguet"), "'bouguet' is none of textbook, opencv"),
+        ((*pair, "--rig", tmp_path / "rig", "--method", "bouguet"), "'bouguet' is not one of textbook, opencv"),
         ((pair[0], tmp_path / "none.png", "--uncalibrated"), "none.png"),
         ((flat, flat, "--uncalibrated"), "0 different matches of 0"),
         ((small, small, "--rig", tmp_path / "rig"), "the image is 100x100, its camera info is for 480x360"),

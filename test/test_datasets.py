@@ -178,7 +178,7 @@ def test_kitti_times(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"times\.txt: has 1 times for 3 pairs"):
         KittiDataset(folder)
     (folder / "times.txt").write_text("now\n")
-    with pytest.raises(BagError, match=r"times\.txt: is not a list of times"):
+    with pytest.raises(BagError, match=r"times\.txt: is not a list of time stamps"):
         KittiDataset(folder)
     raw = make_kitti(tmp_path / "b", "image_00/data", "image_01/data", names=1)
     (raw / "image_00" / "timestamps.txt").write_text("2011-09-26 13:02:25.964389445\n")

@@ -58,7 +58,7 @@ def plain_data(left: U8, right: U8, low: int, count: int) -> F64:
     return data
 
 
-def four_neighbours(values: F64) -> list[F64]:
+def four_neighbors(values: F64) -> list[F64]:
     padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
     return [padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]]
 
@@ -73,7 +73,7 @@ def plain_bayesian(data: F64, iterations: int) -> F64:
         wide = np.pad(p, ((0, 0), (0, 0), (1, 1)))
         smooth = (wide[:, :, 1:-1] + beside * (wide[:, :, :-2] + wide[:, :, 2:])) / (1 + 2 * beside)
         heard = -np.log((1 - diffusion.STEP_OUTLIERS) * smooth + diffusion.STEP_OUTLIERS)
-        energies = data + diffusion.NEIGHBOR_WEIGHT * np.sum(four_neighbours(heard), axis=0)
+        energies = data + diffusion.NEIGHBOR_WEIGHT * np.sum(four_neighbors(heard), axis=0)
     return energies
 
 
@@ -83,7 +83,7 @@ def plain_membrane(data: F64, iterations: int) -> F64:
     for _ in range(iterations):
         here = np.where(seen, energies, 0)
         flow = diffusion.HOLD_RATE * (np.where(seen, data, 0) - here)
-        for near, near_seen in zip(four_neighbours(here), four_neighbours(seen.astype(float)), strict=True):
+        for near, near_seen in zip(four_neighbors(here), four_neighbors(seen.astype(float)), strict=True):
             flow += diffusion.DIFFUSION_RATE * np.where(near_seen > 0, near - here, 0)
         energies = np.where(seen, here + flow, np.inf)
     return energies

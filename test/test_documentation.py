@@ -52,7 +52,7 @@ def test_no_two_stages_share_a_name() -> None:
     assert len(names) == len(set(names))
 
 
-def test_yaml_says_sentence_range_and_unit() -> None:
+def test_yaml_names_sentence_range_and_unit() -> None:
     text = render_yaml()
     assert (
         "    # Number of disparities searched.\n    # 32 to 4096 in steps of 16 px\n    disparity_range: 64\n" in text

@@ -57,7 +57,7 @@ def test_model_covers_the_columns_with_a_disparity_in_the_right_image(
 ) -> None:
     rng = np.random.default_rng(5)
     left, right = rng.integers(0, 256, (2, 6, 60)).astype(np.uint8)
-    # Windows of one pixel match nothing, so that the brightness stays.
+    # Windows of one pixel match nothing, so that the gray offset stays.
     config = MatchingConfig(min_disparity=min_disparity, num_disparities=32, correlation_window_size=1)
     assert searched_columns(config, 60) == slice(*columns)
     model = stereo_model(left, right, config)

@@ -126,7 +126,7 @@ def test_too_few_and_degenerate_points() -> None:
 
 def test_invalid_values() -> None:
     seen = views(30)
-    with pytest.raises(ConfigError, match="'lmeds' is none of magsac, ransac"):
+    with pytest.raises(ConfigError, match="'lmeds' is not one of magsac, ransac"):
         estimate_fundamental(seen.left_px, seen.right_px, method="lmeds")
     for threshold_px in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(ConfigError, match="above 0 and finite"):

@@ -97,10 +97,10 @@ def test_standard_deviations_are_those_of_many_draws() -> None:
     w = np.radians([0.2, -0.3, 0.1])
     draws = [estimate(w, 0.001, frames=12, seed=seed) for seed in range(40)]
     found = np.array([[*each.rotation_deg, each.scale] for each in draws])
-    told = np.array([[*each.rotation_sigma_deg, each.scale_sigma] for each in draws]).mean(axis=0)
+    reported = np.array([[*each.rotation_sigma_deg, each.scale_sigma] for each in draws]).mean(axis=0)
     # The larger of two estimates is used, which is slightly conservative
-    assert (told / found.std(axis=0) > 0.75).all()
-    assert (told / found.std(axis=0) < 1.6).all()
+    assert (reported / found.std(axis=0) > 0.75).all()
+    assert (reported / found.std(axis=0) < 1.6).all()
 
 
 def test_errors_common_to_a_frame_are_not_averaged_as_independent() -> None:
@@ -314,10 +314,10 @@ def test_a_street_with_the_right_camera_rotated(
     """Detected within 20 frames, estimated, and corrected: density and row errors as before, to 5 %."""
     reference = float(street.reference.rotation_deg[1])
     pairs = street.turned(axis, degrees)
-    told = follow(MisalignmentEstimator(street.rig, reference), pairs)
-    found = told[-1]
+    reported = follow(MisalignmentEstimator(street.rig, reference), pairs)
+    found = reported[-1]
     assert found is not None
-    assert any(each is not None and NAMES[axis] in each.significant for each in told)
+    assert any(each is not None and NAMES[axis] in each.significant for each in reported)
     assert abs(found.rotation_deg[axis] - street.reference.rotation_deg[axis] - degrees) <= tolerance_deg
     density, row_px = density_and_rows(street.rig, street.pairs[10:])
     corrected = corrected_rig(street.rig, found, reference_yaw_deg=reference)
@@ -334,7 +334,7 @@ def test_a_street_with_the_right_camera_rotated(
 def test_an_unchanged_street(street: Street) -> None:
     """Nothing is detected in the second half, relative to the yaw of the first one or without a reference."""
     for reference in (float(street.reference.rotation_deg[1]), None):
-        told = follow(MisalignmentEstimator(street.rig, reference), street.pairs[10:])
-        assert told[-1] is not None
-        assert not any(each is not None and each.detected for each in told)
+        reported = follow(MisalignmentEstimator(street.rig, reference), street.pairs[10:])
+        assert reported[-1] is not None
+        assert not any(each is not None and each.detected for each in reported)
     assert street.reference.rotation_deg[1] == pytest.approx(0.55, abs=0.1)  # a keystone of the published calibration

@@ -166,7 +166,7 @@ INFO_CASES = (
     Case(
         "camera infos of two sizes",
         info_size(RIGHT_INFO),
-        r"left/camera_info\) is 200x120, .*right/camera_info\) is 640x480: a pair has one size",
+        r"left/camera_info\) is 200x120, .*right/camera_info\) is 640x480: both images must have the same size",
         "CalibrationError",
     ),
     *(

@@ -87,7 +87,7 @@ def block_matching(network: Network, left: str = "left", right: str = "right") -
     return network.add("Cast", best, to=TensorProto.FLOAT)
 
 
-def left_grey(network: Network) -> str:
+def left_gray(network: Network) -> str:
     """(1, 1, H, W): the gray value of the left image, whatever the right one is."""
     nothing = network.add("Mul", network.gray("right"), network.constant(0))
     return network.add("Add", network.gray("left"), nothing)
@@ -168,7 +168,7 @@ def test_variable_sizes_are_padded(tmp_path: Path) -> None:
 def test_fixed_size_scales_images_and_disparities(tmp_path: Path) -> None:
     """Half the width and a third of the height: blocks of 3 x 2 px keep their gray values, which are disparities."""
     network = Network((1, 1, 20, 60))
-    model = network.save(tmp_path / "network.onnx", {"output": left_grey(network)})
+    model = network.save(tmp_path / "network.onnx", {"output": left_gray(network)})
     small = np.random.default_rng(0).integers(0, 15, (20, 60), dtype=np.uint8)
     left = np.repeat(np.repeat(small, 3, axis=0), 2, axis=1)
     result = matcher(model).match(left, left)
@@ -206,7 +206,7 @@ def reference(gray: U8, low: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("low", [0, 5, -12, -50])
 def test_reasons(tmp_path: Path, low: int) -> None:
     network = Network()
-    shifted = network.add("Sub", left_grey(network), network.constant(10))
+    shifted = network.add("Sub", left_gray(network), network.constant(10))
     long = network.add("Mul", network.add("Sqrt", shifted), network.constant(1))
     model = network.save(tmp_path / "network.onnx", {"output": long})
     gray = np.random.default_rng(8).integers(0, 256, (37, 110), dtype=np.uint8)
@@ -221,7 +221,7 @@ def test_reasons(tmp_path: Path, low: int) -> None:
 
 def test_disparities_beyond_the_range_are_no_match(tmp_path: Path) -> None:
     network = Network()
-    model = network.save(tmp_path / "network.onnx", {"output": left_grey(network)})
+    model = network.save(tmp_path / "network.onnx", {"output": left_gray(network)})
     gray = np.tile(np.array([30, 31, 32, 90], np.uint8), (40, 40))
     result = matcher(model).match(gray, gray)
     np.testing.assert_array_equal(result.reasons[:, 90:], np.tile([0, 0, 1, 1], (40, 18))[:, 2:])
@@ -291,7 +291,7 @@ def test_missing_model_or_file(tmp_path: Path) -> None:
 
 def test_missing_onnxruntime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     network = Network()
-    model = network.save(tmp_path / "network.onnx", {"output": left_grey(network)})
+    model = network.save(tmp_path / "network.onnx", {"output": left_gray(network)})
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ConfigError, match=r"matcher onnx needs onnxruntime.*pip install onnxruntime"):
         matcher(model)
@@ -327,15 +327,15 @@ def test_inputs_that_do_not_take_an_image(tmp_path: Path, shape: Any, kind: int,
 @pytest.mark.parametrize("names", [("first", "second"), ("disp_coarse", "disp_fine")])
 def test_ambiguous_outputs(tmp_path: Path, names: tuple[str, str]) -> None:
     network = Network()
-    model = network.save(tmp_path / "network.onnx", dict.fromkeys(names, left_grey(network)))
+    model = network.save(tmp_path / "network.onnx", dict.fromkeys(names, left_gray(network)))
     with pytest.raises(ConfigError, match=rf"has 2 outputs, {names[0]}, {names[1]}, exactly one must have disp"):
         matcher(model)
 
 
 def test_output_of_another_size(tmp_path: Path) -> None:
     network = Network()
-    half = network.add("MaxPool", left_grey(network), kernel_shape=[2, 2], strides=[2, 2])
-    twice = network.add("Concat", left_grey(network), left_grey(network), axis=1)
+    half = network.add("MaxPool", left_gray(network), kernel_shape=[2, 2], strides=[2, 2])
+    twice = network.add("Concat", left_gray(network), left_gray(network), axis=1)
     for found, shape in ((half, r"\(1, 1, 32, 64\)"), (twice, r"\(1, 2, 64, 128\)")):
         model = network.save(tmp_path / "network.onnx", {"output": found})
         with pytest.raises(
@@ -346,7 +346,7 @@ def test_output_of_another_size(tmp_path: Path) -> None:
 
 def test_network_that_fails(tmp_path: Path) -> None:
     network = Network()
-    fixed = network.add("Add", left_grey(network), network.constant(np.zeros((1, 1, 96, 32))))
+    fixed = network.add("Add", left_gray(network), network.constant(np.zeros((1, 1, 96, 32))))
     model = network.save(tmp_path / "network.onnx", {"output": fixed})
     with pytest.raises(
         ConfigError, match=r"fails on inputs of shape \(1, 1, 64, 128\): (?s:.*)export it for images of this"
@@ -356,7 +356,7 @@ def test_network_that_fails(tmp_path: Path) -> None:
 
 def test_refused_search_and_images(tmp_path: Path) -> None:
     network = Network()
-    model = network.save(tmp_path / "network.onnx", {"output": left_grey(network)})
+    model = network.save(tmp_path / "network.onnx", {"output": left_gray(network)})
     with pytest.raises(ConfigError, match=r"disparities 2032\.\.2063 are searched"):
         matcher(model, min_disparity=2032)
     good = np.zeros((60, 120), np.uint8)

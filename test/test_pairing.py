@@ -135,8 +135,8 @@ def test_any_interleaving_gives_the_same_pairs(tolerance_s: float, seed: int) ->
         results.append(pairs)
     assert all(pairs == results[0] for pairs in results)
     assert len(results[0]) > 5
-    for of_one_eye in zip(*results[0], strict=True):
-        assert list(of_one_eye) == sorted(set(of_one_eye))
+    for of_one_side in zip(*results[0], strict=True):
+        assert list(of_one_side) == sorted(set(of_one_side))
     assert max(abs(a - b) for a, b in results[0]) <= round(tolerance_s * 1e9)
     if tolerance_s == 0.0:
         assert [a for a, _ in results[0]] == sorted(set(left) & set(right))
@@ -156,7 +156,7 @@ def test_jittered_cameras_with_losses_get_their_own_partner(seed: int) -> None:
     assert run(pairing, by_time(left, right)) + pairing.flush() == true_pairs
 
 
-def test_what_the_other_eye_is_past_is_dropped_at_once() -> None:
+def test_what_the_other_side_is_past_is_dropped_at_once() -> None:
     pairing: StereoPairing[int] = StereoPairing(EXACT)
     run(pairing, [("L", 1), ("L", 2), ("L", 3)])
     assert run(pairing, [("R", 3)]) == [(3, 3)]

@@ -41,7 +41,7 @@ def test_derivatives_are_those_of_the_projection(model: str) -> None:
 
 def test_names() -> None:
     assert parameter_names("equidistant") == ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
-    with pytest.raises(ConfigError, match="'fisheye' is none of plumb_bob, rational_polynomial, equidistant"):
+    with pytest.raises(ConfigError, match="'fisheye' is not one of plumb_bob, rational_polynomial, equidistant"):
         check_model("fisheye")
 
 

@@ -74,7 +74,7 @@ def test_commands_and_their_options_exist(arguments: list[str]) -> None:
     rest = list(arguments)
     while hasattr(command, "list_commands"):
         name, names = rest.pop(0), command.list_commands(None)
-        assert name in names, f"{name} is none of {', '.join(names)}"
+        assert name in names, f"{name} is not one of {', '.join(names)}"
         command = command.get_command(None, name)
     command.make_context(name, rest)  # parses without running; rejects unknown options
 

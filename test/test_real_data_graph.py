@@ -358,9 +358,9 @@ def test_published_disparity_and_depth_agree_with_the_truth(
     assert np.count_nonzero(both) > 0.7 * np.count_nonzero(np.isfinite(truth_px))
     assert np.median(np.abs(published - (truth_px + doffs))[both]) < 0.5
     # an error of a disparity is one of Z^2 / (f B) times as many meters
-    metres_a_pixel = truth_m[both] ** 2 / (focal_px * baseline_m)
+    meters_a_pixel = truth_m[both] ** 2 / (focal_px * baseline_m)
     error_m = np.abs(depth_m - truth_m)[both]
-    assert np.median(error_m) < 0.5 * np.median(metres_a_pixel)
+    assert np.median(error_m) < 0.5 * np.median(meters_a_pixel)
     assert run.result["score"]["truth_frames"] == 1
-    assert run.result["score"]["median_px"] == pytest.approx(np.median(error_m / metres_a_pixel), abs=0.05)
+    assert run.result["score"]["median_px"] == pytest.approx(np.median(error_m / meters_a_pixel), abs=0.05)
     assert_depth_and_points_follow_from_disparity(run)

@@ -20,7 +20,7 @@ from stereo_depth_ros.matching.selection.summed_costs import (
 )
 
 
-def bids_of(costs: list[int | None]) -> U32:
+def keys_of(costs: list[int | None]) -> U32:
     """Keys of summed costs; NO_KEY for None."""
     keys = [NO_KEY if cost is None else (cost << 16) + k for k, cost in enumerate(costs)]
     return np.array(keys, np.uint32)
@@ -38,13 +38,13 @@ def test_keys_hold_the_sum_and_the_index() -> None:
 
 
 def test_of_equal_costs_the_first_wins() -> None:
-    assert least_key(bids_of([9, 4, None, 4, 8])) == (4 << 16) + 1
-    assert least_key(bids_of([None, None])) == NO_KEY
+    assert least_key(keys_of([9, 4, None, 4, 8])) == (4 << 16) + 1
+    assert least_key(keys_of([None, None])) == NO_KEY
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 16, 37])
 def test_second_is_at_least_two_away(count: int) -> None:
-    keys = bids_of([int(cost) for cost in np.random.default_rng(count).integers(0, 50, count)])
+    keys = keys_of([int(cost) for cost in np.random.default_rng(count).integers(0, 50, count)])
     for best in range(count):
         others = [keys[k] for k in range(count) if abs(k - best) >= 2]
         assert second_key(keys, np.arange(count, dtype=np.uint32), best) == min(others, default=NO_KEY)
@@ -64,12 +64,12 @@ def test_second_is_at_least_two_away(count: int) -> None:
 )
 def test_subpixel_is_the_intersection_corrected_for_pixel_locking(costs: list[int | None], u: float) -> None:
     expected = u * (1 + (1 - 4 * u**2) / 4)
-    assert subpixel(bids_of([60, *costs, 60]), 2) == pytest.approx(expected, abs=1e-12)
+    assert subpixel(keys_of([60, *costs, 60]), 2) == pytest.approx(expected, abs=1e-12)
 
 
 def test_subpixel_keeps_order_and_stays_in_the_pixel() -> None:
     # From a valley in the middle to one that the next index shares.
-    parts = [subpixel(bids_of([150, 50, after]), 1) for after in range(150, 49, -1)]
+    parts = [subpixel(keys_of([150, 50, after]), 1) for after in range(150, 49, -1)]
     assert parts[0] == 0 and parts[-1] == 0.5
     assert (np.diff(parts) > 0).all()
 
@@ -78,13 +78,13 @@ def test_subpixel_keeps_order_and_stays_in_the_pixel() -> None:
     ("costs", "best"), [([1, 2, 3], 0), ([3, 2, 1], 2), ([None, 1, 2], 1), ([2, 1, None], 1), ([1], 0)]
 )
 def test_no_subpixel_without_both_neighbors(costs: list[int | None], best: int) -> None:
-    assert subpixel(bids_of(costs), best) == 0
+    assert subpixel(keys_of(costs), best) == 0
 
 
 def test_right_pixels_keep_the_smallest_key() -> None:
-    right = bids_of([4, None, 6, 6])
-    lower_keys(bids_of([5, 5, 5, None]), right)
-    np.testing.assert_array_equal(right, bids_of([4, 5, 5, 6]))
+    right = keys_of([4, None, 6, 6])
+    lower_keys(keys_of([5, 5, 5, None]), right)
+    np.testing.assert_array_equal(right, keys_of([4, 5, 5, 6]))
 
 
 @pytest.mark.parametrize(("tolerance", "rejected"), [(1, [False, True, True]), (2, [False, False, True])])

@@ -146,7 +146,7 @@ def test_vertical_search_finds_row_offsets(cost: str) -> None:
         assert right_ones.all() if correct else right_ones.mean() < 0.3
 
 
-def test_zero_mean_costs_ignore_brightness_and_zncc_contrast() -> None:
+def test_zero_mean_costs_ignore_gray_offset_and_zncc_contrast() -> None:
     left, right = shifted_pair(31, 88, 11)
     darker, flatter = (left * 0.5).astype(np.uint8), (left * 0.5 + 100).astype(np.uint8)
     for image, cost in (

@@ -114,7 +114,7 @@ class RecoveredMcap:
                 subject=str(self.path),
                 remedy="check what the file is, or copy it again",
             )
-        with suppress(*_DAMAGE):  # nothing after a damaged record can be trusted: the same as a cut in front of it
+        with suppress(*_DAMAGE):  # treat a damaged record as the end of the file
             for record in _top_level_records(self._file):
                 if record.opcode in (Opcode.DATA_END, Opcode.FOOTER) and record.complete:
                     self.cut = False
@@ -170,7 +170,7 @@ def _top_level_records(file: BinaryIO) -> Iterator[_Record]:
 
 
 def _unpack(chunk: Chunk) -> bytes:
-    """The records of a chunk; of a cut one those at its beginning, while mcap decompresses only complete chunks."""
+    """The records of a chunk; for a truncated chunk, the records at its beginning (mcap needs complete chunks)."""
     if chunk.compression == "zstd":
         return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
     if chunk.compression == "lz4":

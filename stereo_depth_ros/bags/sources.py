@@ -160,7 +160,7 @@ def _open_file(path: Path, types: RosbagsTypes, stack: ExitStack, *, packed_mess
 
 
 def _kind(path: Path) -> str:
-    """The suffix; that in front of .zstd where the file is compressed as a whole."""
+    """The file suffix, ignoring a trailing .zstd."""
     return Path(path.stem).suffix if path.suffix == ".zstd" else path.suffix
 
 

@@ -50,7 +50,7 @@ class StereoTopics:
 def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right: str | None = None) -> StereoTopics:
     """The stereo pair among ``topics``.
 
-    Two image topics of one type are a pair when their names differ only in the words for the camera: left and right,
+    Two image topics of one type are a pair when their names differ only in the camera name: left and right,
     l and r, or numbers n and n + 1. Of several pairs one with camera infos is preferred, then raw over rectified, gray
     over color, uncompressed over compressed.
 

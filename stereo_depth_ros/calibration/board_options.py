@@ -46,7 +46,7 @@ def create_board(
     }
     if kind not in makers:
         raise ConfigError(
-            f"board {kind!r} is none of {', '.join(BOARDS)}",
+            f"board {kind!r} is not one of {', '.join(BOARDS)}",
             value=kind,
             limit=BOARDS,
             remedy="use one of them",

@@ -82,7 +82,7 @@ def check_board_size(size: tuple[int, int], square_m: float, smallest: int, coun
             f"square {square_m:g} m is outside {MIN_SQUARE_M:g}..{MAX_SQUARE_M:g} m",
             value=square_m,
             limit=(MIN_SQUARE_M, MAX_SQUARE_M),
-            remedy=f"give meters, {square_m:g} mm are {square_m / 1000:g}",
+            remedy=f"enter meters: {square_m:g} mm is {square_m / 1000:g}",
             settings=("square",),
         )
 

@@ -23,7 +23,7 @@ __all__ = ["BundleParameters", "BundleSolution", "adjust_bundle", "residuals_px"
 
 # A relative decrease of 1e-9 of the sum of squares is far below one standard deviation
 _STOP = StopRules(max_trials=100, tolerance=1e-9, converged_steps=2, max_damping=1e12)
-_ROUNDS = 5  # of weights
+_ROUNDS = 5  # number of times the robust weights are computed
 _CAUCHY_SIGMAS = 3.0  # residual, in standard deviations, at which the weight of a corner is a half
 
 

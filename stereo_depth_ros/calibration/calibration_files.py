@@ -26,8 +26,8 @@ def save_calibration(calibration: StereoCalibration, folder: Path, *, overwrite:
     """Write the files into a folder, which is created if missing.
 
     Args:
-        calibration: what was found.
-        folder: where the files go.
+        calibration: the result.
+        folder: the output folder.
         overwrite: replace the files that are there.
 
     Raises:

@@ -19,7 +19,7 @@ from stereo_depth_ros.geometry.rays import normalized_points
 
 __all__ = ["MIN_LIMIT_PX", "MIN_VIEWS", "CameraSolution", "DroppedView", "calibrate_camera", "outlier_view"]
 
-MIN_VIEWS = 5  # 3 determine a pinhole; two more show that they agree
+MIN_VIEWS = 5  # three views determine a pinhole camera; two more verify consistency
 _FIELDS_OF_VIEW_DEG = (12, 20, 30, 40, 50, 60, 75, 90, 110, 130)  # horizontal, candidates for the initial camera
 _WIDE_DEG = (45, 60, 80, 100, 120, 140, 160, 180, 200, 220)
 _MAX_TANGENT = np.tan(np.radians(80))  # of the angle from the axis, of corners used for the initial pose
@@ -88,7 +88,7 @@ def too_few_views(count: int, dropped: Sequence[DroppedView]) -> CalibrationErro
     """The error for fewer views than a calibration needs."""
     without = f" ({len(dropped)} dropped: {'; '.join(f'{view.name}, {view.reason}' for view in dropped)})"
     return CalibrationError(
-        f"{count} views of the board{without if dropped else ''}, at least {MIN_VIEWS} are needed and 20 are good",
+        f"{count} views of the board{without if dropped else ''}, at least {MIN_VIEWS} are required, 20 recommended",
         value=count,
         limit=MIN_VIEWS,
         remedy="record more pairs in which both cameras see the whole board, near and far, tilted, in all parts of the "

@@ -215,7 +215,7 @@ def _aruco_dictionary(name: str) -> Any:
     known = [each for each in dir(cv2.aruco) if each.startswith("DICT_")]
     if name not in known:
         raise ConfigError(
-            f"dictionary {name!r} is none of {', '.join(known)}",
+            f"dictionary {name!r} is not one of {', '.join(known)}",
             value=name,
             limit=tuple(known),
             remedy="use the dictionary that the board was generated with",

@@ -31,7 +31,7 @@ WINDOW = 20  # newest frames, used for the estimate
 MIN_FRAMES, MIN_MATCHES = 3, 100
 SIGNIFICANT_SIGMAS = 5.0
 SIGNIFICANT_PX = 0.5  # largest row error in the image
-ROUNDS = 3  # of linearization; the second changes the result by less than a hundredth
+ROUNDS = 3  # number of linearizations; the second changes the result by less than a hundredth
 REWEIGHTINGS = 10
 SCALE_SIGMAS = 2.0  # scale of the robust weights, in standard deviations of the residuals
 

@@ -14,7 +14,7 @@ from stereo_depth_ros.core.types import F64
 __all__ = ["NormalEquations"]
 
 POSE = 6
-_ROUNDING = 1e-13  # of the largest eigenvalue
+_ROUNDING = 1e-13  # smallest eigenvalue used, as a fraction of the largest
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,7 @@ def check_model(model: str) -> None:
     """Raise ConfigError where no distortion model has this name."""
     if model not in MODELS:
         raise ConfigError(
-            f"model {model!r} is none of {', '.join(MODELS)}",
+            f"model {model!r} is not one of {', '.join(MODELS)}",
             value=model,
             limit=tuple(MODELS),
             remedy="use one of them",

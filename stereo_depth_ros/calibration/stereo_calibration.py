@@ -230,7 +230,7 @@ def _check_baseline(T: F64) -> None:
             f"the calibrated baseline is {baseline_m:g} m, outside {MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m",
             value=baseline_m,
             limit=(MIN_BASELINE_M, MAX_BASELINE_M),
-            remedy="give the side of a square in meters, 25 mm are 0.025",
+            remedy="enter the side of a square in meters: 25 mm is 0.025",
             settings=("square",),
         )
     if T[0] >= 0:

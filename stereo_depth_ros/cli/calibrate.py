@@ -43,10 +43,10 @@ def calibrate(
     model: Annotated[str, typer.Option(metavar="NAME", help=f"Distortion model: {', '.join(MODELS)}.")] = "plumb_bob",
     marker: Annotated[
         float | None,
-        typer.Option(metavar="METERS", help="Charuco board: side of a marker; default: 3/4 of a square."),
+        typer.Option(metavar="METERS", help="ChArUco board: side of a marker; default: 3/4 of a square."),
     ] = None,
     dictionary: Annotated[
-        str, typer.Option(metavar="NAME", help="Charuco board: dictionary of the markers.")
+        str, typer.Option(metavar="NAME", help="ChArUco board: dictionary of the markers.")
     ] = "DICT_4X4_50",
     spacing: Annotated[
         float, typer.Option(metavar="RATIO", help="Aprilgrid: gap between tags relative to the side of a tag.")
@@ -64,9 +64,9 @@ def calibrate(
 
     In a folder, the names of the two images of a pair differ only in the camera: left01.png and right01.png,
     left/01.png and right/01.png, cam0/01.png and cam1/01.png. From a bag, views that differ from each other are
-    selected. Both cameras must see the whole chessboard, or a part of a charuco board or an aprilgrid.
+    selected. Both cameras must see the whole chessboard, or a part of a ChArUco board or an aprilgrid.
 
-    --size counts inner corners of a chessboard, squares of a charuco board, or tags of an aprilgrid (family 36h11, in
+    --size counts inner corners of a chessboard, squares of a ChArUco board, or tags of an aprilgrid (family 36h11, in
     the layout of Kalibr). Use plumb_bob for common lenses, rational_polynomial for wide-angle lenses (with many views
     that reach the corners of the image) and equidistant for fisheyes.
 

@@ -21,7 +21,7 @@ def run_live(
     shape: str,
     values: dict[str, Value],
     params_file: Path | None,
-    health: Literal["", "watch", "correct"] = "",
+    monitor: Literal["", "report", "correct"] = "",
 ) -> RunReport:
     """Start the nodes, play the bag, stop the nodes; the arguments are those of ``replay_through_graph``.
 
@@ -33,4 +33,4 @@ def run_live(
     config = pipeline_config({**(read_params_file(params_file) if params_file else {}), **values})
     prepare_kernels(config.matching)
     with progress_bar(f"playing, {shape}") as progress:
-        return replay_through_graph(options, shape, values, config, progress, params_file, health)
+        return replay_through_graph(options, shape, values, config, progress, params_file, monitor)

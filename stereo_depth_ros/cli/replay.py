@@ -95,11 +95,11 @@ def replay(
         in_flight=in_flight,
     )
     shape, values = "separate" if separate else "fused", parse_assignments(param or (), matcher)
-    watch: Literal["", "watch", "correct"] = "watch" if health else ""
+    monitor: Literal["", "report", "correct"] = "report" if health else ""
     if auto_correct or values.get("auto_correct"):
-        watch = "correct"
+        monitor = "correct"
     check_bag_output(
         output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
     )
-    result = run_live(options, shape, values, params_file, watch)
+    result = run_live(options, shape, values, params_file, monitor)
     finish_run(result, json_file, overwrite)

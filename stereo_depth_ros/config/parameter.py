@@ -57,7 +57,7 @@ class ParameterInfo:
         if type(value) is not self.type:
             raise self._error(
                 value,
-                f"is {type(value).__name__}, it takes {self.type.__name__}",
+                f"has type {type(value).__name__}, expected {self.type.__name__}",
                 self.type.__name__,
                 f"write it as {self.type.__name__}, for example {self.default!r}",
             )

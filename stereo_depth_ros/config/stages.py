@@ -119,7 +119,7 @@ class CalibrationConfig(Checked):
     )
     board_size: str = parameter(
         "9x6",
-        "Columns x rows: inner corners of a chessboard, squares of a charuco board, tags of an aprilgrid.",
+        "Columns x rows: inner corners of a chessboard, squares of a ChArUco board, tags of an aprilgrid.",
         run_time=False,
     )
     board_square: float = parameter(
@@ -127,14 +127,14 @@ class CalibrationConfig(Checked):
     )
     board_marker: float = parameter(
         0.0,
-        "Side length of a marker of a charuco board; 0 means 3/4 of a square.",
+        "Side length of a marker of a ChArUco board; 0 means 3/4 of a square.",
         low=0.0,
         high=1.0,
         unit="m",
         run_time=False,
     )
     board_dictionary: str = parameter(
-        "DICT_4X4_50", "Marker dictionary of a charuco board, by its OpenCV name.", run_time=False
+        "DICT_4X4_50", "Marker dictionary of a ChArUco board, by its OpenCV name.", run_time=False
     )
     board_spacing: float = parameter(
         0.3,

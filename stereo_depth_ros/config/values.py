@@ -54,7 +54,7 @@ def parse_assignments(assignments: Iterable[str], matcher: str | None = None) ->
                 f"parameter {text!r} is not of the form name:=value",
                 value=text,
                 limit="name:=value",
-                remedy="write it so, for example disparity_range:=128",
+                remedy="for example disparity_range:=128",
             )
         try:
             values[name] = _load(value)

@@ -306,7 +306,7 @@ def _check_pair(left: CameraModel, right: CameraModel, left_label: str, right_la
             f"{left_label} is {left.width}x{left.height}, {right_label} is {right.width}x{right.height}",
             value=(right.width, right.height),
             limit=(left.width, left.height),
-            remedy="a pair has one size, set both cameras to the same resolution",
+            remedy="both images must have the same size: set both cameras to the same resolution",
         )
     _check_left_is_reference(left, left_label)
     _check_rows_agree(left.P, right.P, left_label, right_label)

@@ -68,7 +68,7 @@ class Reason(enum.IntFlag):
     VALID = 0
     NO_MATCH = 1  # rejected by the matcher for another reason
     LEFT_RIGHT = 2  # left-right check: the right image prefers another left pixel
-    UNIQUENESS = 4  # a second disparity is nearly as good
+    UNIQUENESS = 4  # another disparity has a similar cost
     TEXTURE = 8  # not enough texture in the window
     SPECKLE = 16  # small isolated component
     RANGE = 32  # not in front of the cameras: no positive finite depth

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Finds the stereo pairs among image files: names that differ only in the word for the camera."""
+"""Finds the stereo pairs among image files: names that differ only in the camera name."""
 
 from __future__ import annotations
 

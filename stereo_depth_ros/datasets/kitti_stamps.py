@@ -63,7 +63,7 @@ def read_stamps(folder: Path, camera: Path, numbers: dict[str, int], names: list
         names: names of the images that have a partner, at least one.
 
     Raises:
-        BagError: a file that is not a list of times, or has too few.
+        BagError: a file that is not a list of time stamps, or has too few.
     """
     path, times = _read_times(folder, camera)
     if path is None:
@@ -90,7 +90,7 @@ def _read_times(folder: Path, camera: Path) -> tuple[Path | None, list[int]]:
         if (path := folder / camera / "timestamps.txt").exists():
             return path, [_parse_date(row) for row in path.read_text().splitlines() if row.strip()]
     except ValueError as error:
-        raise BagError(f"is not a list of times ({error})", subject=str(path), remedy="copy it again") from error
+        raise BagError(f"is not a list of time stamps ({error})", subject=str(path), remedy="copy it again") from error
     return None, []
 
 

@@ -192,7 +192,8 @@ def _not_rectified(raw: Finding | None) -> Finding:
     median_px = raw.figures["median_px"] if raw is not None else None
     if median_px is None or median_px > GOOD_ROWS_PX:
         return Finding("rows", Level.SKIPPED, value)
-    return Finding("rows", Level.SKIPPED, value, "", "the rows agree as they are: the images may be rectified already")
+    remedy = "the rows already match without rectification: the images may be rectified already"
+    return Finding("rows", Level.SKIPPED, value, "", remedy)
 
 
 def _rig_of_images(setup: StereoSetup, cameras: list[CameraModel]) -> tuple[StereoRig | None, str]:

@@ -209,7 +209,7 @@ def _size(camera: CameraModel) -> tuple[int, int]:
 def _check_parameters(method: str, alpha: float, max_fov_deg: float) -> None:
     if method not in METHODS:
         raise ConfigError(
-            f"method {method!r} is none of {', '.join(METHODS)}",
+            f"method {method!r} is not one of {', '.join(METHODS)}",
             value=method,
             limit=METHODS,
             remedy="use one of them",

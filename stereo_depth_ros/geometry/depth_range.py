@@ -26,8 +26,8 @@ __all__ = [
     "rounded_depths_m",
 ]
 
-_DEFAULT_SHARE = 1 / 8  # of the image width: default disparity of the nearest point
-_MIN_DEPTHS, _MAX_DEPTHS = 5, 200  # of a table
+_DEFAULT_SHARE = 1 / 8  # default disparity of the nearest point as a fraction of the image width
+_MIN_DEPTHS, _MAX_DEPTHS = 5, 200  # least and largest number of depths of a table
 _ROUNDING_PX = 1e-6  # disparities this near to a whole number are rounded to it
 
 
@@ -189,7 +189,7 @@ def recommended_search(rig: StereoRig, nearest_m: float) -> MatchingConfig:
             f"overlap only beyond {limit_m:.3g} m",
             value=nearest_m,
             limit=limit_m,
-            remedy="use a larger distance or a smaller baseline",
+            remedy="increase the nearest distance or reduce the baseline",
             settings=("nearest",),
         )
     first = math.floor(rig.doffs_px + _ROUNDING_PX)

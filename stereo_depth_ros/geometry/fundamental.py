@@ -68,7 +68,7 @@ def estimate_fundamental(
     """
     if method not in _METHODS:
         raise ConfigError(
-            f"method {method!r} is none of {', '.join(_METHODS)}",
+            f"method {method!r} is not one of {', '.join(_METHODS)}",
             value=method,
             limit=tuple(_METHODS),
             remedy="use one of them",

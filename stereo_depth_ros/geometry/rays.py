@@ -15,8 +15,8 @@ __all__ = ["camera_rays", "normalized_points", "rectify_points", "undistort_poin
 
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 _MAX_TANGENT = 300.0  # 89.8 degrees off the axis; OpenCV sets points that no pinhole camera can see to +-1e6
-_STEPS = 50  # of Newton's method
-_TOLERANCE_PX = 0.01  # of the projection of the ray of a pixel
+_STEPS = 50  # largest number of steps of Newton's method
+_TOLERANCE_PX = 0.01  # largest error of the projection of the ray of a pixel
 
 
 def camera_rays(points_px: F64, camera: CameraModel) -> F64:

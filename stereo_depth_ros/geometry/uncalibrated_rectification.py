@@ -21,8 +21,8 @@ from stereo_depth_ros.geometry.epipolar import epipoles, homogeneous
 
 __all__ = ["Shape", "UncalibratedRectification", "rectify_uncalibrated", "shape_under"]
 
-_ANGLES = 720  # of z over 180 degrees, for the initial search of the least distortion
-_MARGIN = 0.05  # of the image size, least distance of an epipole from the image
+_ANGLES = 720  # number of directions of z over 180 degrees, for the initial search of the least distortion
+_MARGIN = 0.05  # least distance of an epipole from the image as a fraction of the image size
 _MAX_STRETCH = 4.0  # ratio of magnifications in the image, by the projective part
 
 

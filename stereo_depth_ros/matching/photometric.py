@@ -22,10 +22,10 @@ LEAST_SHARE = 0.05  # matched share of a region at which its mean difference has
 def match_photometric(left: U8, right: U8, config: MatchingConfig) -> U8:
     """The left image minus its gray-level offset from the right one, averaged over the matched pixels of a region.
 
-    Pixel-wise costs assume brightness constancy. In practice a point differs by a few gray levels between the cameras,
-    more than many pixels that must be distinguished, but neighbors differ alike (Gennert 1988). The offset is estimated
-    from an initial match with zero-mean windows, which do not assume brightness constancy; where nothing matches (no
-    texture, windows of one pixel), the image is unchanged.
+    Pixel-wise costs assume equal gray levels in both images. In practice a point differs by a few gray levels between
+    the cameras, more than many pixels that must be distinguished, but neighbors differ alike (Gennert 1988). The offset
+    is estimated from an initial match with zero-mean windows, which do not assume equal gray levels; where nothing
+    matches (no texture, windows of one pixel), the image is unchanged.
 
     Args:
         left, right: uint8 (H, W), gray, rectified, valid for the window matcher with ``config``.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of all nodes: parameters, diagnostics, outputs built on demand, inputs that are subscribed only then."""
+"""Base of all nodes: parameters, diagnostics, outputs built on demand, inputs subscribed on demand."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class StereoNode(Node):  # type: ignore[misc]
         callback: Callable[[Any], None],
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        """A best-effort subscription while an output, and it, is wanted; errors of the callback are reported."""
+        """A best-effort subscription while an output and this input are needed; errors of the callback are reported."""
         self._inputs.append(_Input(message_type, topic, callback, wanted))
 
     def refuse_equal_topics(self, left: str, right: str) -> None:
@@ -153,7 +153,7 @@ class StereoNode(Node):  # type: ignore[misc]
             policy, topic = qos_policy_name_from_kind(event.last_policy_kind), self.resolve_topic_name(item.topic)
             self.diagnostics.report_error(
                 f"incompatible qos {item.topic}",
-                f"{topic}: a publisher offers less {policy} than is requested, no message of it will arrive: "
+                f"{topic}: a publisher offers less {policy} than is requested, its messages will not be received: "
                 f"change the publisher, or set qos_overrides.{topic}.subscription.{policy.lower()}",
             )
 

@@ -59,7 +59,7 @@ class CalibrationInput:
         return self._contents.get(_RIGHT)
 
     def _forget(self) -> None:
-        """After an idle time the cameras may be others, and an image may arrive before its camera info."""
+        """The cameras may have changed while the node was idle, and an image may arrive before its camera info."""
         self._infos.clear()
         self._contents.clear()
         self._waiting.clear()

@@ -92,7 +92,7 @@ class CalibrationMonitor(StereoNode):
             self._publish_correction(left.header.stamp)
 
     def _report(self, matches: RowMatches, found: Misalignment | None) -> None:
-        """On /diagnostics."""
+        """Publishes the findings on /diagnostics."""
         limit_px = self.parameters.get(CalibrationMonitorConfig).row_error_limit
         self.diagnostics.facts = _facts(matches, found)
         warnings = []
@@ -105,7 +105,7 @@ class CalibrationMonitor(StereoNode):
             warnings.append(f"not corrected: {self._watch.refusal}")
         if self._config.auto_correct and not self._corrected.wanted:
             topic = self.resolve_topic_name("right/camera_info_corrected")
-            warnings.append(f"{topic} has no subscriber: remap right/camera_info of the node that rectifies to it")
+            warnings.append(f"{topic} has no subscriber: remap right/camera_info of the rectifying node to this topic")
         self.diagnostics.warning = "; ".join(warnings)
 
     def _on_right_info(self, info: Any) -> None:

@@ -89,7 +89,7 @@ class CalibrationNode(StereoNode):
         self._replace_newest((left, right))
 
     def _replace_newest(self, item: tuple[Any, Any] | None) -> None:
-        """A waiting pair is older and is dropped."""
+        """Replaces a pair that is still waiting."""
         while True:
             try:
                 self._newest.put_nowait(item)
@@ -140,7 +140,7 @@ class CalibrationNode(StereoNode):
         }
 
     def _service(self, act: Callable[[], str]) -> Callable[[Any, Any], Any]:
-        """A service callback whose response has the text of the act, or its error."""
+        """A service callback that responds with the result text or the error."""
 
         def respond(_: Any, response: Any) -> Any:
             try:
@@ -177,7 +177,10 @@ class CalibrationNode(StereoNode):
         return f"left.yaml, right.yaml, calibration.json, .txt and coverage.png written to {folder.resolve()}"
 
     def _commit(self) -> str:
-        """By a second node, as this one is busy with the service. Nothing is sent before both drivers are found."""
+        """Uses a second node, because this one is blocked in the service call.
+
+        Nothing is sent before both drivers are found.
+        """
         rig = self._result().rig
         node = rclpy.create_node(f"{self.get_name()}_commit", context=self.context, use_global_arguments=False)
         executor = SingleThreadedExecutor(context=self.context)
@@ -189,7 +192,7 @@ class CalibrationNode(StereoNode):
                 self._send(executor, clients[1], rig.right)
             except CalibrationError as error:
                 raise CalibrationError(
-                    f"{error.problem}; the left driver has its new camera info already",
+                    f"{error.problem}; the left driver has already accepted its new CameraInfo",
                     subject=error.subject,
                     remedy=f"{error.remedy}, and call ~/commit again before you use the cameras",
                 ) from error

@@ -63,7 +63,7 @@ class NodeDiagnostics:
 
     @contextmanager
     def catch(self) -> Iterator[None]:
-        """No message may end the node: errors inside are reported."""
+        """Reports exceptions raised in the block, so that no message ends the node."""
         try:
             yield
         except StereoDepthError as error:

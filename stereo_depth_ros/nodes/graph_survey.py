@@ -63,7 +63,7 @@ def survey_graph(
             subject="seconds",
             value=seconds,
             limit=(0, 3600),
-            remedy="set some seconds",
+            remedy="set a value above 0 and up to 3600",
         )
     prepare_process()
     context = Context()
@@ -123,7 +123,10 @@ class _GraphSurvey:
         self._executor.shutdown()
 
     def _discover(self, left: Sequence[str], right: Sequence[str]) -> StereoTopics:
-        """The topics of both cameras; not published in time: those of one camera, else the first ones."""
+        """The topics of both cameras.
+
+        If not all are published in time: the pair with one published camera, else the first pair.
+        """
         candidates = list(zip(left, right, strict=True) if len(left) == len(right) else itertools.product(left, right))
         end, topics = time.monotonic() + self._seconds, None
         while time.monotonic() < end:

@@ -31,7 +31,7 @@ def replay_through_graph(
     config: PipelineConfig,
     progress: Callable[[int, int], None],
     params_file: Path | None = None,
-    health: Literal["", "watch", "correct"] = "",
+    monitor: Literal["", "report", "correct"] = "",
 ) -> RunReport:
     """Start the nodes, play, stop the nodes.
 
@@ -42,7 +42,7 @@ def replay_through_graph(
         config: of ``parameters`` and ``params_file``.
         progress: called with pairs sent and pairs to send (at most).
         params_file: a ROS parameter file for the nodes.
-        health: see :class:`GraphProcesses`.
+        monitor: see :class:`GraphProcesses`.
 
     Raises:
         BagError, TopicError: nothing to play; before any node is started.
@@ -60,7 +60,7 @@ def replay_through_graph(
     prepare_process()
     with (
         tempfile.TemporaryDirectory(prefix="stereo-depth-") as logs,
-        GraphProcesses(shape, all_parameters, Path(logs), params_file, health) as graph,
+        GraphProcesses(shape, all_parameters, Path(logs), params_file, monitor) as graph,
     ):
         wait_until_ready(graph.numbers, graph.log_lengths, graph.check)
         return replay(options, progress, graph.check, config)

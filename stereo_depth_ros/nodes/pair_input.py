@@ -35,7 +35,7 @@ class PairInput:
         self._topics = (left, right)
         self._on_pair = on_pair
         self._backwards = 0
-        # After an idle time it is another stream: its stamps may be earlier than those of the last one.
+        # The stream may have restarted while the node was idle: its stamps may be earlier than before.
         node.on_idle.append(self._pairing.flush)
 
     def add_left(self, message: Any) -> None:

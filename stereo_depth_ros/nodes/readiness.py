@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The readiness of a node: the number of its process, latched on ~/ready."""
+"""The readiness of a node: the process ID, latched on ~/ready."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def wait_until_ready(
     """Wait until every process is ready; other nodes of these names may run in this domain.
 
     Args:
-        processes: number of the process by name of the node, in the root namespace.
+        processes: process ID by name of the node, in the root namespace.
         progress: a value that changes while a process starts, such as the length of its log (the first start compiles
             kernels); the timeout counts from the last change.
         check: called many times a second; raises where a process has ended.

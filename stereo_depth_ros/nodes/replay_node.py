@@ -42,7 +42,7 @@ _PARAMETERS = {
 
 
 def _nothing(*_: Any) -> None:
-    """No progress, no check."""
+    """Default callback: does nothing."""
 
 
 def replay(

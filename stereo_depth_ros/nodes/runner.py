@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs a node until SIGINT or SIGTERM, transport first, then rclpy; exit code 0 then, 1 where it cannot start."""
+"""Runs a node: sets up the transport, then rclpy; returns 0 after SIGINT or SIGTERM, 1 if it cannot start."""
 
 from __future__ import annotations
 

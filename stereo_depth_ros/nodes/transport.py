@@ -22,8 +22,8 @@ MALLOC_VARIABLE = "STEREO_DEPTH_MALLOPT"
 SHARED_MEMORY = Path("/dev/shm")
 SEGMENT_OVERHEAD = 1.1  # a segment of 128 MiB takes 134 MiB, measured with Fast DDS 2.14
 
-# Names and numbers of glibc's malloc.h. A buffer of an image or cloud that is returned to the system costs page faults
-# again at the next frame. The mmap threshold is the largest that glibc accepts.
+# Names and numbers of glibc's malloc.h; returning a buffer to the system causes page faults at the next frame. The mmap
+# threshold is the largest that glibc accepts.
 MALLOC_OPTIONS = {
     "M_MMAP_THRESHOLD": (-3, 32 << 20),
     "M_TRIM_THRESHOLD": (-1, 1 << 30),

@@ -53,7 +53,7 @@ def _first_pair(bag: Path) -> tuple[U8, F32]:
     raise BagError(
         f"no {_LEFT} with a {_DISPARITY} of the same stamp",
         subject=str(bag),
-        remedy="use a bag that replay or process has written",
+        remedy="use a bag with these outputs",
     )
 
 

@@ -13,7 +13,7 @@ __all__ = ["curve_plot"]
 
 _WIDTH, _HEIGHT = 720, 420
 _LEFT, _RIGHT, _TOP, _BOTTOM = 70, 24, 62, 52
-_POINTS = 200  # of a line
+_POINTS = 200  # number of points of a line
 _OURS: Color = (72, 150, 253)
 _ORACLE: Color = (180, 160, 49)
 _HEADROOM = 1.15  # the axis ends above the highest point of the curves

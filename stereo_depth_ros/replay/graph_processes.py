@@ -23,7 +23,7 @@ SHAPES: Mapping[str, tuple[str, ...]] = {
     "fused": ("stereo_depth_node",),
     "separate": ("rectify_node", "disparity_node", "point_cloud_node", "depth_node"),
 }
-_HEALTH_NODE = "calibration_monitor"
+_MONITOR = "calibration_monitor"
 _READ_RAW_IMAGES = (
     "stereo_depth_node",
     "rectify_node",
@@ -40,7 +40,7 @@ class GraphProcesses:
         parameters: ROS parameters of every node of the shape; ``image_transport`` of those that read raw images.
         log_dir: folder of the log files, one per node; created when missing.
         params_file: ROS parameter file of every node; ``parameters`` override it.
-        health: "watch" also runs the calibration monitor; "correct" rectifies with the camera infos that it corrects.
+        monitor: "report" also runs the calibration monitor; "correct" rectifies with the camera infos that it corrects.
         env: environment variables in addition to those of this process.
 
     Raises:
@@ -53,7 +53,7 @@ class GraphProcesses:
         parameters: Mapping[str, bool | int | float | str],
         log_dir: Path,
         params_file: Path | None = None,
-        health: Literal["", "watch", "correct"] = "",
+        monitor: Literal["", "report", "correct"] = "",
         env: Mapping[str, str] | None = None,
     ) -> None:
         if shape not in SHAPES:
@@ -65,8 +65,8 @@ class GraphProcesses:
                 settings=("shape",),
             )
         self.shape = shape
-        self._nodes = (*SHAPES[shape], _HEALTH_NODE) if health else SHAPES[shape]
-        self._correct = health == "correct"
+        self._nodes = (*SHAPES[shape], _MONITOR) if monitor else SHAPES[shape]
+        self._correct = monitor == "correct"
         self._parameters = dict(parameters)
         self._params_file = params_file
         self._env = {**os.environ, **(env or {})}
@@ -148,7 +148,7 @@ class GraphProcesses:
         for name, value in self._parameters.items():
             if name != "image_transport" or node in _READ_RAW_IMAGES:
                 command += ["-p", f"{name}:={_ros_text(value)}"]
-        if self._correct and node == _HEALTH_NODE:
+        if self._correct and node == _MONITOR:
             command += ["-p", "auto_correct:=true"]
         if self._correct and node in _READ_RAW_IMAGES:
             command += ["-r", "right/camera_info:=right/camera_info_corrected"]

@@ -20,7 +20,7 @@ __all__ = ["check_camera_order", "check_depths"]
 
 BEHIND_PX = 1.0  # a disparity this far below infinity is not noise
 MOSTLY = 0.5
-SEARCH_MARGIN = 0.15  # of the disparities seen, for what is nearer
+SEARCH_MARGIN = 0.15  # share of the disparities seen that is added for nearer points
 FREE_PX = 16  # up to this many more disparities, down to infinity, are searched anyway
 
 

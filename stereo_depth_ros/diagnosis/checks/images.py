@@ -53,6 +53,6 @@ def check_two_cameras(left: Sequence[U8], right: Sequence[U8]) -> Finding:
             return Finding(check, Level.ERROR, value, limit, "set both cameras to the same resolution")
     same = sum(np.array_equal(one, other) for one, other in zip(left, right, strict=True))
     if same:
-        value, remedy = f"one image twice in {same} of {len(left)} pairs", "both topics show one camera"
-        return Finding(check, Level.ERROR, value, limit, f"{remedy}: check drivers and remappings")
+        value = f"left and right image are identical in {same} of {len(left)} pairs"
+        return Finding(check, Level.ERROR, value, limit, "both topics show one camera: check drivers and remappings")
     return Finding(check, Level.OK, f"{len(left)} different pairs", limit)

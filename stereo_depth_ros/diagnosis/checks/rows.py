@@ -28,13 +28,13 @@ __all__ = [
 
 ImageArrayPairs: TypeAlias = Sequence[tuple[U8, U8]]
 
-MAX_FEATURES = 2000  # of an image
-MIN_MATCHES = 50  # of all pairs together; too few otherwise for the whole image
+MAX_FEATURES = 2000  # largest number of features of an image
+MIN_MATCHES = 50  # least number of matches of all pairs together; too few otherwise for the whole image
 # The right images of three scenes (a room, EuRoC, KITTI) shifted by 0.5, 1, 1.5 and 2 px cost sgm up to 2, 22, 43 and
 # 66 % of its disparities, and gave 4 to 7, 9 to 27, 20 to 40 and 25 to 61 % that are wrong by more than 1 px.
 GOOD_ROWS_PX, USABLE_ROWS_PX = 0.5, 1.0
 GOOD_RMS_PX, USABLE_RMS_PX = 1.0, 2.0  # twice that, for parts of the image
-MAX_RESIDUAL = 0.7  # of the rms, residual of a plane that explains half of the squares
+MAX_RESIDUAL = 0.7  # residual of a plane as a fraction of the rms; 0.7: the plane explains half of the squares
 NEAR_ROWS_PX = 3.0  # up to here features are matched along the rows
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks which outputs of which pairs have been received; pure."""
+"""Tracks which outputs of which pairs have been received; no ROS, no I/O."""
 
 from __future__ import annotations
 
