@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,9 +57,10 @@ def prepare_kernels(config: MatchingConfig | None = None) -> None:
     """
     if config is not None:
         matcher_from_config(config)
-    with progress_bar("compiling kernels") as progress:
+    with progress_bar("compiling kernels") as progress, _interrupts_kept() as check:
 
         def report(number: int, total: int) -> None:
+            check()
             progress(max(number - 1, 0), total)
             if not number:
                 messages.print("waiting for another process that compiles kernels")
@@ -66,6 +68,34 @@ def prepare_kernels(config: MatchingConfig | None = None) -> None:
                 messages.print(f"compiling kernels, {number} of {total}")
 
         compile_kernels(report)
+
+
+@contextmanager
+def _interrupts_kept() -> Iterator[Callable[[], None]]:
+    """Keep SIGINT and SIGTERM until the end of the ``with`` block, or until the yielded function is called.
+
+    Numba calls back from machine code, where an exception that a signal handler raises is printed and lost.
+    """
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    received: list[int] = []
+
+    def set_handlers(handlers: Iterable[Any]) -> list[Any]:
+        return [signal.signal(number, handler) for number, handler in zip(numbers, handlers, strict=True)]
+
+    def keep(number: int, _: object) -> None:
+        received.append(number)
+
+    def release() -> None:
+        if received:
+            set_handlers(before)
+            signal.raise_signal(received[0])
+
+    before = set_handlers((keep, keep))
+    try:
+        yield release
+        release()
+    finally:
+        set_handlers(before)
 
 
 def show(tables: Iterable[RenderableType], values: Any, json_file: Path | None, *, overwrite: bool = False) -> None:
