@@ -60,7 +60,7 @@ CALIBRATION_FAULTS = {
     ),
     "coefficients": (as_is, entries("d", lambda d: d[:3]), "right distortion", "D has 3 coefficients", "set as many"),
     "no size": (lambda info: replace(info, width=0), as_is, "left size", "0x480 is empty", "set width and height"),
-    "sizes": (as_is, lambda info: replace(info, height=482), "sizes", "640x480, right camera is 640x482", "the same size"),
+    "sizes": (as_is, lambda info: replace(info, height=482), "sizes", "640x480, right camera is 640x482", "same size"),
     "fx": (as_is, times("p", 0, 1.02), "fx of P", "430 px in left camera and 438.6", "calibrate both cameras together"),
     "fy": (times("p", 5, 1.02), as_is, "fy of P", "425.442 px in left camera", "calibrate both cameras together"),
     "cy": (as_is, times("p", 6, 1.02), "cy of P", "243.27 px in right camera", "calibrate both cameras together"),
