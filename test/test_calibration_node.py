@@ -86,14 +86,14 @@ def test_from_images_to_files_and_drivers(photographs: list[tuple[U8, U8]], tmp_
         assert (images[-1].encoding, images[-1].width) == ("bgr8", SIZE[0])
         success, text = trigger(graph, "calibrate")
         assert success, text
-        assert "baseline 11" in text and "to do better" in text
+        assert "baseline 11" in text and "to improve" in text
         success, text = trigger(graph, "save")
         assert success and str(tmp_path / "out") in text
         rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
         assert rig.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=1e-3)
         assert cv2.imread(str(tmp_path / "out" / "coverage.png")) is not None
         success, text = trigger(graph, "save")
-        assert not success and "left.yaml exists" in text and "calibration_folder, overwrite" in text
+        assert not success and "left.yaml: already exists" in text and "calibration_folder, overwrite" in text
         committed = commit(graph)
         assert committed.keys() == {"left", "right"}
         np.testing.assert_array_equal(committed["right"].p, rig.right.P.ravel())
