@@ -20,8 +20,8 @@ help: ## list the targets
 demo: venv ## play the sample bag through the live graph; prints a table, writes a bag and an image
 	$(BIN)/stereo-depth demo --overwrite
 
-test: venv ## run every test
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+test: venv ## run every test; those of the graph one after the other, the others beside them
+	$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
 
 lint: venv ## check style and types
 	$(BIN)/ruff check .

@@ -65,7 +65,10 @@ setup(
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
         "graph_cut": ["PyMaxflow"],  # optional because it is under the GPL
         "onnx": ["onnxruntime"],
-        "test": ["PyMaxflow", "colcon-common-extensions", "mypy", "onnx", "onnxruntime", "pytest", "ruff"],
+        "test": [
+            *("PyMaxflow", "colcon-common-extensions", "mypy", "onnx", "onnxruntime"),
+            *("pytest", "pytest-xdist", "ruff"),
+        ],
     },
     entry_points={
         "console_scripts": [

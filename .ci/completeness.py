@@ -28,14 +28,10 @@ class Completeness:
         self.ran: set[str] = set()
         self.skipped: set[str] = set()
 
-    def pytest_collection_finish(self, session: pytest.Session) -> None:
-        """Notes what was selected."""
-        for item in session.items:
-            self.files.add(item.path)
-            self.markers[item.nodeid] = {mark.name for mark in item.iter_markers()}
-
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Notes what ran and what was skipped; an expected failure ran."""
+        """Notes what ran and what was skipped, in any process; an expected failure ran."""
+        self.files.add(self.root / report.nodeid.partition("::")[0])
+        self.markers[report.nodeid] = set(report.keywords) & {"graph", "real_data"}
         if report.skipped and not hasattr(report, "wasxfail"):
             self.skipped.add(report.nodeid)
         elif report.when == "call":
@@ -72,5 +68,7 @@ class Completeness:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Adds the watch to this run."""
+    """Adds the watch to this run; the processes of pytest-xdist report to the one that started them."""
+    if hasattr(config, "workerinput"):
+        return
     config.pluginmanager.register(Completeness(config.rootpath), "completeness-of-the-run")

@@ -15,6 +15,14 @@ from command_line import CommandLine, Run
 from stereo_depth_ros.cli import main as cli
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of several processes, one runs all tests of the graph, so that no two graphs compete; files stay together."""
+    for item in items:
+        graph = item.get_closest_marker("graph") is not None
+        item.add_marker(pytest.mark.xdist_group("graph" if graph else item.path.name))
+    items.sort(key=lambda item: item.get_closest_marker("graph") is None)  # the longest group first
+
+
 @pytest.fixture(scope="session")
 def stereo_data() -> Path:
     """The folder of real pairs and sequences; tests that need it are skipped where it is not."""

@@ -34,13 +34,15 @@ def run(root: Path, *arguments: str, data: Path | None = None, **files: str) -> 
     return done.returncode, done.stdout + done.stderr
 
 
-def test_complete_run_passes_with_absent_data_and_other_skips(tmp_path: Path) -> None:
-    code, output = run(tmp_path, test_a=GRAPH, test_b=DATA_SKIPPED, test_c=PLAIN_SKIPPED)
+@pytest.mark.parametrize("processes", [(), ("-n", "2")], ids=["one process", "two processes"])
+def test_complete_run_passes_with_absent_data_and_other_skips(tmp_path: Path, processes: tuple[str, ...]) -> None:
+    code, output = run(tmp_path, *processes, test_a=GRAPH, test_b=DATA_SKIPPED, test_c=PLAIN_SKIPPED)
     assert code == 0, output
     assert "INCOMPLETE" not in output
     assert "1 passed, 2 skipped" in output
 
 
+@pytest.mark.parametrize("processes", [(), ("-n", "2")], ids=["one process", "two processes"])
 @pytest.mark.parametrize(
     ("files", "line"),
     [
@@ -49,8 +51,8 @@ def test_complete_run_passes_with_absent_data_and_other_skips(tmp_path: Path) ->
         ({"test_a": "def test_x():\n    pass\n"}, "no test marked graph ran"),
     ],
 )
-def test_incomplete_run_fails(tmp_path: Path, files: dict[str, str], line: str) -> None:
-    code, output = run(tmp_path, **files)
+def test_incomplete_run_fails(tmp_path: Path, files: dict[str, str], line: str, processes: tuple[str, ...]) -> None:
+    code, output = run(tmp_path, *processes, **files)
     assert code == 1, output
     assert f"INCOMPLETE {line}" in output
     assert " passed" in output.splitlines()[-1], "pytest's closing line comes last"

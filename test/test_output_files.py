@@ -8,6 +8,7 @@ import os
 import resource
 import stat
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,13 +18,15 @@ from stereo_depth_ros.files import output as output_files
 from stereo_depth_ros.files.output import OutputFile, check_outputs, write_file
 
 
-@pytest.fixture
+@contextmanager
 def small_disk() -> Iterator[None]:
-    """Files of this process are limited to 10 000 bytes."""
+    """Files of this process are limited to 10 000 bytes, the log of the tests too: for a few lines only."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def names(folder: Path) -> list[str]:
@@ -123,9 +126,10 @@ def test_links_are_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert (tmp_path / "good").read_text() == "good"
 
 
-def test_full_disk_is_reported_and_leaves_nothing(tmp_path: Path, small_disk: None) -> None:
+def test_full_disk_is_reported_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("old")
-    with pytest.raises(OutputError, match=r"/a: cannot be written: File too large: free space on the disk"):
+    text = r"/a: cannot be written: File too large: free space on the disk"
+    with pytest.raises(OutputError, match=text), small_disk():
         write_file(tmp_path / "a", b"1" * 20_000, overwrite=True)
     assert names(tmp_path) == ["a"]
     assert (tmp_path / "a").read_text() == "old"

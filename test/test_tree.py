@@ -69,9 +69,10 @@ def upward_imports(root: Path) -> list[str]:
 
 def circular_imports(root: Path) -> list[str]:
     """One cycle of the modules, and one of the subpackages and modules in each package, if there are any."""
-    imports = [found for found in read_imports(root) if found.imported in modules(root)]
+    known = modules(root)
+    imports = [found for found in read_imports(root) if found.imported in known]
     lines = circle({(found.importer, found.imported): found for found in imports})
-    for name, path in modules(root).items():
+    for name, path in known.items():
         if path.name == "__init__.py":
             inside = [i for i in imports if all(f"{end}.".startswith(f"{name}.") for end in (i.importer, i.imported))]
             lines += circle({(child(name, i.importer), child(name, i.imported)): i for i in inside})
