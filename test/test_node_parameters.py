@@ -188,7 +188,8 @@ def test_penalties_must_ascend_for_sgbm_only(running: Disparities) -> None:
     for name, value in (("P1", 500.0), ("P2", 400.0)):
         assert graph.set_parameter(name, value).successful  # only sgbm has these penalties
     refused = graph.set_parameter("stereo_algorithm", 1)
-    assert (refused.successful, refused.reason) == (False, "P2 = 400 is not above P1 = 500: raise P2 or lower P1")
+    reason = "P2 = 400 is not above P1 = 500: raise P2 or lower P1 (parameters: P2, P1)"
+    assert (refused.successful, refused.reason) == (False, reason)
     assert graph.set_parameter("P2", 800.0).successful
     assert graph.set_parameter("stereo_algorithm", 1).successful
     assert not graph.set_parameter("P2", 500.0).successful

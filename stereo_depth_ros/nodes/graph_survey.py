@@ -17,6 +17,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
@@ -187,15 +188,22 @@ def _resolved(node: Node, names: Sequence[str]) -> list[str]:
     resolved = []
     for name in names:
         try:
+            validate_topic_name(name)
             resolved.append(node.resolve_topic_name(name))
-        except (InvalidTopicNameException, RuntimeError) as error:  # rclpy's own error of rcl is a RuntimeError
-            raise TopicError(
-                f"{name!r} is not a topic name",
-                value=name,
-                limit="letters, digits, _ and /; no digit after a /, no / at the end",
-                remedy="name an image topic, such as /left/image_raw",
-            ) from error
+        except InvalidTopicNameException as error:
+            raise _not_a_topic(name, f", {error.error_msg}") from error
+        except RuntimeError as error:  # of rcl: a substitution that it does not know
+            raise _not_a_topic(name) from error
     return resolved
+
+
+def _not_a_topic(name: str, reason: str = "") -> TopicError:
+    return TopicError(
+        f"{name!r} is not a topic name{reason}",
+        value=name,
+        limit="letters, digits, _ and /; no digit after a /, no / at the end",
+        remedy="name an image topic, such as /left/image_raw",
+    )
 
 
 def _assumed(candidates: Sequence[tuple[str, str]], types: Mapping[str, str]) -> StereoTopics:
