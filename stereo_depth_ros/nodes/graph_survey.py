@@ -15,9 +15,9 @@ import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
@@ -188,20 +188,18 @@ def _resolved(node: Node, names: Sequence[str]) -> list[str]:
     resolved = []
     for name in names:
         try:
-            validate_topic_name(name)
             resolved.append(node.resolve_topic_name(name))
-        except InvalidTopicNameException as error:
-            raise _not_a_topic(name, f", {error.error_msg}") from error
-        except RuntimeError as error:  # of rcl: a substitution that it does not know
+        except (InvalidTopicNameException, RuntimeError) as error:  # rclpy's own error of rcl is a RuntimeError
             raise _not_a_topic(name) from error
     return resolved
 
 
-def _not_a_topic(name: str, reason: str = "") -> TopicError:
+def _not_a_topic(name: str) -> TopicError:
+    invalid = rclpy_implementation.rclpy_get_validation_error_for_full_topic_name(f"/{name.removeprefix('/')}")
     return TopicError(
-        f"{name!r} is not a topic name{reason}",
+        f"{name!r} is not a topic name" + (f", {invalid[0]}" if invalid else ""),
         value=name,
-        limit="letters, digits, _ and /; no digit after a /, no / at the end",
+        limit="letters, digits, _ and /",
         remedy="name an image topic, such as /left/image_raw",
     )
 
