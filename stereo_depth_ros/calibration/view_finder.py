@@ -108,6 +108,8 @@ def _no_views(
         if names:
             return CalibrationError(
                 f"the {unseen} camera sees the board in none of {found.pairs} pairs, the {seen} camera in {len(names)}",
+                value=0,
+                limit=1,
                 remedy="hold the board where both cameras see all of it, and check that the two images are of the two "
                 "cameras",
                 settings=("left", "right"),

@@ -138,8 +138,10 @@ class _Pair:
             CalibrationError: they differ.
         """
         if self.left.shape[:2] != self.right.shape[:2]:
-            sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (self.left, self.right))
-            raise CalibrationError(f"the images are {sizes}", remedy="use two images of the same size")
+            left, right = (f"{each.shape[1]}x{each.shape[0]}" for each in (self.left, self.right))
+            raise CalibrationError(
+                f"the images are {left} and {right}", value=right, limit=left, remedy="use two images of the same size"
+            )
         return self.left.shape[1], self.left.shape[0]
 
 

@@ -50,7 +50,9 @@ def check_outputs(
     folders: set[Path] = set()
     for number, path in enumerate(written):
         if _identity(path) in read:
-            raise OutputError("would overwrite an input", subject=str(path), remedy="write to another file")
+            raise OutputError(
+                "would overwrite an input", subject=str(path), value=str(path), remedy="write to another file"
+            )
         _check_free(path, overwrite)
         if _is_device(path):
             continue

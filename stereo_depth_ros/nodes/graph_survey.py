@@ -109,6 +109,8 @@ class _GraphSurvey:
             raise TopicError(
                 f"no messages in {self._seconds:g} s",
                 subject=" and ".join(images),
+                value=0,
+                limit=1,
                 remedy=silent[images[0]],
                 settings=("left_namespace", "right_namespace"),
             )

@@ -56,6 +56,8 @@ def error_plot(left: U8, truth_px: F32, disparity_px: F32, title: str, caption: 
     if not left.shape[:2] == truth_px.shape == disparity_px.shape:
         raise ImageError(
             f"left image {left.shape[:2]}, truth {truth_px.shape} and disparity {disparity_px.shape} differ in size",
+            value=(left.shape[:2], truth_px.shape, disparity_px.shape),
+            limit="one size",
             remedy="use images of one pair",
         )
     low, high = _span(truth_px)

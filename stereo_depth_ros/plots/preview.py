@@ -37,7 +37,10 @@ def preview(left: U8, depth_m: F32, title: str = "") -> U8:
     """
     if left.shape[:2] != depth_m.shape:
         raise ImageError(
-            f"left image {left.shape[:2]} and depth {depth_m.shape} differ in size", remedy="use images of one pair"
+            f"left image {left.shape[:2]} and depth {depth_m.shape} differ in size",
+            value=depth_m.shape,
+            limit=left.shape[:2],
+            remedy="use images of one pair",
         )
     near_m, far_m = _depth_range(depth_m)
     panels = (enlarged(left, _PANEL_WIDTH), enlarged(color_depth(depth_m, near_m, far_m), _PANEL_WIDTH))
