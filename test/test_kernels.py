@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -92,6 +93,19 @@ def test_of_concurrent_processes_one_compiles(folder: Path) -> None:
     assert [process.returncode for process in processes] == [0, 0, 0]
     assert [output[-1] for output in outputs] == ["8 6"] * 3
     assert sum(line.startswith("compiling") for output in outputs for line in output) == 2
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x80\x04cno_such_module\nname\n."], ids=["cut", "module that is missing"])
+def test_a_cache_that_cannot_be_loaded_is_compiled_again(folder: Path, damage: bytes) -> None:
+    run(folder)
+    for path in (folder / "__pycache__").glob("kernel.*.nbc"):
+        path.write_bytes(damage)
+    assert run(folder)[-1] == "8 6"
+
+
+def test_code_that_refers_to_generated_functions_is_loaded() -> None:
+    """Numba names their module <dynamic>, and imports it to load the code."""
+    assert importlib.import_module("<dynamic>").__name__ == "<dynamic>"
 
 
 def test_waiting_for_another_process_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

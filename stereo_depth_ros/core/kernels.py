@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import pickle
 import sys
 import tempfile
 import threading
@@ -28,6 +29,9 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., object])
 
 # Input images: numpy.frombuffer returns read-only arrays; writeable ones are accepted as well.
 READ_ONLY_U8 = numba.types.Array(numba.uint8, 2, "C", readonly=True)
+
+# Cached code may refer to functions that numba generated, by the name of a module that numba does not register.
+sys.modules.setdefault("<dynamic>", types.ModuleType("<dynamic>"))
 
 _LOCK_POLL_S, _WAITING_S = 0.1, 5.0
 
@@ -92,7 +96,11 @@ class Kernel:
     def make_code(self) -> None:
         """Load the code from disk, or compile it."""
         for signature in self._signatures:
-            self._dispatcher.compile(signature)
+            try:
+                self._dispatcher.compile(signature)
+            except (ImportError, EOFError, pickle.UnpicklingError):  # a cache that cannot be loaded
+                self._index.flush()
+                self._dispatcher.compile(signature)
         self._dispatcher.disable_compile()
         self._call = self._dispatcher
 
