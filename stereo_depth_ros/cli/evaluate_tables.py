@@ -17,26 +17,16 @@ __all__ = ["evaluate_tables"]
 
 Columns: TypeAlias = Mapping[str, tuple[str, float]]  # column title to name and factor of a figure
 
-_SCENE_COLUMNS: Columns = {
+_BAD_PIXELS: Columns = {
     "dense %": ("density", 100),
     "bad 0.5": ("bad_0_5", 1),
     "bad 1": ("bad_1", 1),
     "bad 2": ("bad_2", 1),
     "bad 2 all": ("bad_2_all", 1),
     "nonocc bad 2 all": ("nonocc_bad_2_all", 1),
-    "avg px": ("avg", 1),
-    "ms": ("ms", 1),
 }
-_ERRORS: Columns = {
-    "dense %": ("density", 100),
-    "bad 0.5": ("bad_0_5", 1),
-    "bad 1": ("bad_1", 1),
-    "bad 2": ("bad_2", 1),
-    "bad 2 all": ("bad_2_all", 1),
-    "nonocc bad 2 all": ("nonocc_bad_2_all", 1),
-    "D1 all": ("d1_all", 1),
-    "avg px": ("avg", 1),
-}
+_SCENE_COLUMNS: Columns = {**_BAD_PIXELS, "avg px": ("avg", 1), "ms": ("ms", 1)}
+_ERRORS: Columns = {**_BAD_PIXELS, "D1 all": ("d1_all", 1), "avg px": ("avg", 1)}
 _COSTS: Columns = {
     "ms": ("ms", 1),
     "ms per Mpx": ("ms_per_megapixel", 1),

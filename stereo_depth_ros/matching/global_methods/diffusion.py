@@ -69,7 +69,7 @@ class DiffusionMatcher(SerialMatcher):
         check_pair(left, right, self)
         rows = left.shape[0]
         data = np.empty((*left.shape, config.num_disparities), np.float32)
-        images = (match_photometric(left, right, config), np.ascontiguousarray(right))
+        images = (match_photometric(left, right, config), right)
         run_bands(_cost_rows, rows, *images, config.max_disparity, _noise_energies(), data)
         bayesian = config.diffusion_model == "bayesian"
         energies = self._bayesian_energies(data) if bayesian else self._membrane_energies(data)

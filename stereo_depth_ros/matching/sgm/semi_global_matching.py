@@ -90,7 +90,6 @@ class SemiGlobalMatcher(SerialMatcher):
         margin = np.empty(left.shape, np.float32)
         if self._census.shape[1:] != left.shape:
             self._allocate(*left.shape)
-        left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         run_bands(census_rows, len(left), left, self._census[0])
         run_bands(census_rows, len(left), right, self._census[1])
         output = Output(disparity_px, self._coarse, reasons, margin)

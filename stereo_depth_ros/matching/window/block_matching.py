@@ -69,8 +69,7 @@ class BlockMatcher(SerialMatcher):
             self._filtered = np.empty((2, *left.shape), np.uint8)
             self._disparity_x16 = np.zeros(left.shape, np.int16)
         rows = left.shape[0]
-        images = (np.ascontiguousarray(left), np.ascontiguousarray(right))
-        run_bands(_prefilter_rows, rows, *images, config.prefilter_cap, self._filtered)
+        run_bands(_prefilter_rows, rows, left, right, config.prefilter_cap, self._filtered)
         search = (config.correlation_window_size // 2, config.min_disparity, config.num_disparities)
         tests = (config.texture_threshold, round(config.uniqueness_ratio), config.disp12_max_diff)
         buffers = (self._sum_type, self._disparity_x16, reasons)

@@ -72,7 +72,7 @@ class WindowMatcher(SerialMatcher):
         disparity_x16 = np.zeros(left.shape, np.int16)
         reasons = np.empty(left.shape, np.uint8)
         side = config.correlation_window_size
-        images = (np.ascontiguousarray(left), np.ascontiguousarray(right))
+        images = (left, right)
         search = (side // 2, config.vertical_search, config.min_disparity, config.num_disparities)
         checks = (config.uniqueness_ratio, config.disp12_max_diff)
         cost = (COSTS.index(config.window_cost), config.max_difference or NO_BOUND)
