@@ -21,6 +21,7 @@ pytestmark = pytest.mark.graph
 ROOT = Path(__file__).resolve().parents[1]
 OWN_SETTINGS = (
     "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
     "FASTDDS_BUILTIN_TRANSPORTS",
     "RMW_IMPLEMENTATION",
     "SKIP_DEFAULT_XML_FILE",

@@ -12,8 +12,6 @@ from stereo_depth_ros.config.matchers import MATCHERS
 
 __all__ = ["render_matcher_table", "render_parameter_table", "render_yaml"]
 
-TYPE_NAMES = {bool: "bool", int: "int", float: "double", str: "string"}
-
 YAML_HEAD = """\
 # Every parameter at its default. Any node of stereo_depth_ros takes this file and uses the parameters that it has:
 #   ros2 run stereo_depth_ros stereo_depth_node --ros-args --params-file stereo_depth.yaml
@@ -35,7 +33,7 @@ def render_parameter_table() -> str:
         for info in parameter_infos(stage):
             default = "`" + _yaml_value(info.default) + "`"
             meaning = info.doc if info.run_time else f"{info.doc} Fixed at start."
-            rows.append(_row(name, f"`{info.name}`", TYPE_NAMES[info.type], default, info.range_text, meaning))
+            rows.append(_row(name, f"`{info.name}`", info.ros_type, default, info.range_text, meaning))
     return "\n".join(rows)
 
 
