@@ -15,8 +15,8 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="the nodes need ROS 2")
 
+from documents import setup_value  # noqa: E402
 from graph_harness import Graph  # noqa: E402
-from test_readme import setup_nodes  # noqa: E402
 
 from stereo_depth_ros.config import ParameterInfo, parameter_infos  # noqa: E402
 from stereo_depth_ros.core.errors import ConfigError, GraphError  # noqa: E402
@@ -68,10 +68,10 @@ def section(text: str, title: str) -> dict[str, str]:
 
 
 def test_every_executable_has_an_interface() -> None:
-    assert INTERFACES.keys() == set(setup_nodes())
+    assert INTERFACES.keys() == set(setup_value("NODES"))
 
 
-@pytest.mark.parametrize("node", setup_nodes())
+@pytest.mark.parametrize("node", setup_value("NODES"))
 def test_help_names_topics_services_and_parameters(
     node: str, no_ros: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

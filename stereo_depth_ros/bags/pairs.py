@@ -23,7 +23,7 @@ from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
 from stereo_depth_ros.messages.image import decode
 
-__all__ = ["BagPairs", "BagSelection", "PerCalibration", "SerializedPair"]
+__all__ = ["BagPairs", "BagSelection", "PerCalibration", "SerializedPair", "read_pairs"]
 
 T = TypeVar("T")
 
@@ -258,3 +258,20 @@ class BagPairs:
             with_stamp(left_info, stamp_ns),
             with_stamp(right_info, right_stamp_ns),
         )
+
+
+def read_pairs(bag: str | Path) -> Iterator[tuple[StereoPair, StereoRig]]:
+    """The pairs of a bag in the order of their stamps, each with its rig; the same rig until a camera info changes.
+
+    Args:
+        bag: MCAP or .db3 file, rosbag2 folder or ROS 1 bag.
+
+    Raises:
+        BagError, TopicError: no readable stereo bag.
+        MessageError, CalibrationError: an image or a camera info that cannot be used.
+    """
+    types = RosbagsTypes()
+    rigs = PerCalibration(types, lambda rig: rig)
+    with BagPairs(BagSelection(Path(bag)), PairingConfig()) as pairs:
+        for pair in pairs.pairs():
+            yield pair.images(types, pairs.topics.image_type), rigs.of(pair)
