@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from stereo_depth_ros.bags.pairs import read_pairs
     from stereo_depth_ros.config import MatchingConfig, PipelineConfig
     from stereo_depth_ros.core.camera import CameraModel
     from stereo_depth_ros.core.errors import (
@@ -49,9 +50,11 @@ __all__ = [
     "TopicError",
     "__version__",
     "create_matcher",
+    "read_pairs",
 ]
 
 _NAMES = {
+    "bags.pairs": ("read_pairs",),
     "config": ("MatchingConfig", "PipelineConfig"),
     "core.camera": ("CameraModel",),
     "core.errors": (

@@ -10,12 +10,20 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import parameter_tables
 import pytest
 from architecture import ORDER, part_of, read_imports, render_files, render_tree, role
 from documentation import render_all, replace_section, write_all
 from drawing import draw_imports, render_drawing
-from parameter_tables import render_matcher_table, render_parameter_table, render_yaml
+from parameter_tables import (
+    render_launch_table,
+    render_matcher_table,
+    render_parameter_table,
+    render_uniqueness_table,
+    render_yaml,
+)
+from preview_image import TARGET_M, VIEWPOINT_M, draw_cloud
 from ruamel.yaml import YAML
 
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
@@ -29,7 +37,13 @@ def all_infos() -> list[ParameterInfo]:
     return [info for config in CONFIGS.values() for info in parameter_infos(config)]
 
 
-GENERATED = ("config/stereo_depth.yaml", "README.md", "docs/ARCHITECTURE.md", "docs/architecture.svg")
+GENERATED = (
+    "config/stereo_depth.yaml",
+    "README.md",
+    "docs/parameters.md",
+    "docs/ARCHITECTURE.md",
+    "docs/architecture.svg",
+)
 
 
 @pytest.mark.parametrize("path", GENERATED)
@@ -99,12 +113,28 @@ def test_replace_section_wants_one_pair_of_markers(text: str) -> None:
         replace_section(text, "x", "new")
 
 
-def test_matcher_table_has_one_row_a_matcher() -> None:
-    rows = render_matcher_table().splitlines()[2:]
-    for number, (row, info) in enumerate(zip(rows, MATCHERS.values(), strict=True)):
-        assert row == f"| {number} | `{info.name}` | {info.sentence} | {info.uniqueness or 'no effect'} |"
-    assert rows[2].startswith("| 2 | `sgm` | The default: ") and "three times the percentage" in rows[2]
-    assert rows[7].endswith("| no effect |")
+def test_matcher_tables_have_one_row_a_matcher() -> None:
+    rows, uniqueness = (table.splitlines()[2:] for table in (render_matcher_table(), render_uniqueness_table()))
+    assert rows == [f"| {n} | `{info.name}` | {info.sentence} |" for n, info in enumerate(MATCHERS.values())]
+    assert uniqueness == [f"| `{info.name}` | {info.uniqueness or 'no effect'} |" for info in MATCHERS.values()]
+    assert rows[2].startswith("| 2 | `sgm` | The default: ") and "three times the percentage" in uniqueness[2]
+    assert uniqueness[7].endswith("| no effect |")
+
+
+def test_launch_table_has_the_arguments_that_are_not_parameters() -> None:
+    rows = render_launch_table(ROOT / "launch" / "stereo_depth.launch.py").splitlines()[2:]
+    names = [row.split("`")[1] for row in rows]
+    assert {"fused", "launch_image_proc", "namespace", "left_namespace", "right_namespace", "health"} < set(names)
+    assert not {info.name for info in all_infos()} & set(names)
+    assert "| `left_namespace` | `left` | Namespace of the topics of the left camera. |" in rows
+    assert "| `namespace` |  | Namespace of the nodes. |" in rows
+
+
+SECTIONS = {
+    "README.md": ("matchers",),
+    "docs/parameters.md": ("parameters", "uniqueness", "launch"),
+    "docs/ARCHITECTURE.md": ("tree", "files"),
+}
 
 
 def source_tree(root: Path) -> Path:
@@ -114,9 +144,10 @@ def source_tree(root: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(f'"""Role of {part}.\n\nMore of it."""\n')
     (root / "stereo_depth_ros" / "plots" / "two.py").write_text("import stereo_depth_ros.core\n")
-    (root / "config").mkdir()
-    (root / "docs").mkdir()
-    for path, names in (("README.md", ("matchers", "parameters")), ("docs/ARCHITECTURE.md", ("tree", "files"))):
+    for folder in ("config", "docs", "launch"):
+        (root / folder).mkdir()
+    (root / "launch" / "stereo_depth.launch.py").write_text('ARGUMENTS = {"fused": ("false", "One node.")}\n')
+    for path, names in SECTIONS.items():
         (root / path).write_text("# T\n" + "".join(f"<!-- {name}:begin -->\n<!-- {name}:end -->\n" for name in names))
     return root
 
@@ -155,15 +186,27 @@ def test_drawing_of_three_packages() -> None:
     assert [text.text for text in svg.iter("{http://www.w3.org/2000/svg}text")] == ["top", "mid.py", "low"]
 
 
+def test_a_near_point_of_the_cloud_hides_a_far_one_on_its_ray() -> None:
+    at_m = np.array([(TARGET_M - VIEWPOINT_M) * share + VIEWPOINT_M for share in (0.5, 1, 0.9, np.nan)], np.float32)
+    colors = np.array([(1, 2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12)], np.uint8)
+    for order in ([0, 1, 2, 3], [3, 2, 1, 0]):
+        image = draw_cloud(at_m[None, order], colors[None, order])
+        height, width = image.shape[:2]
+        np.testing.assert_array_equal(image[height // 2, width // 2], (1, 2, 3))
+
+
 def test_write_all(tmp_path: Path) -> None:
     write_all(source_tree(tmp_path))
     assert (tmp_path / "config" / "stereo_depth.yaml").read_text() == render_yaml()
-    readme = (tmp_path / "README.md").read_text()
-    assert render_parameter_table() in readme
+    readme, parameters = ((tmp_path / path).read_text() for path in ("README.md", "docs/parameters.md"))
+    assert render_parameter_table() in parameters
+    assert render_uniqueness_table() in parameters
+    assert "| `fused` | `false` | One node. |" in parameters
     assert render_matcher_table() in readme
     assert "| `core/` | Role of core. |" in (tmp_path / "docs" / "ARCHITECTURE.md").read_text()
     assert "<title>plots imports core</title>" in (tmp_path / "docs" / "architecture.svg").read_text()
     assert render_all(tmp_path)["README.md"] == readme  # written again it stays the same
+    assert render_all(tmp_path)["docs/parameters.md"] == parameters
 
 
 DOCUMENTS = ("docs/ARCHITECTURE.md", "CONTRIBUTING.md")

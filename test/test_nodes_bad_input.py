@@ -529,7 +529,33 @@ def test_silence_is_reported_after_a_whole_interval_only(camera: StereoCamera, m
         graph.wait(lambda: graph.subscriptions(LEFT) == [1], "subscription")
         graph.spin(0.4)  # the node's clock ticks 0.2 s after the subscription
         assert not graph.errors("nothing received")
-        graph.wait_error("/left/image_raw: nothing received for 0.6 s")
+        error = graph.wait_error("nothing received")
+        assert error == (
+            "/left/camera_info, /right/camera_info, /left/image_raw, /right/image_raw: nothing received for 0.6 s; "
+            "no publisher: start the camera or remap the topic"
+        )
+
+
+def test_silent_inputs_are_one_error_with_the_remedy_of_each(
+    camera: StereoCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(base, "_SILENCE_S", 0.25)
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        graph.listen("disparity", DisparityImage)
+        for topic, kind in ((LEFT, Image), (LEFT_INFO, CameraInfo)):
+            graph.advertise(topic, kind)
+        graph.wait(lambda: graph.subscriptions(LEFT, LEFT_INFO) == [1, 1], "subscriptions")
+        error = graph.wait_error("nothing received")
+        assert error == (
+            "/left/camera_info, /left/image_raw: nothing received for 0.25 s; "
+            "1 publisher(s): check their QoS and that they publish. "
+            "/right/camera_info, /right/image_raw: nothing received for 0.25 s; "
+            "no publisher: start the camera or remap the topic"
+        )
+        assert len(graph.errors(".")) == 1
+        counts = {topic: graph.counter(f"silent {topic}") for topic in (LEFT, RIGHT, LEFT_INFO, RIGHT_INFO)}
+        assert set(counts.values()) == {graph.counter("silent inputs")}, counts
+        assert graph.status().message == error
 
 
 def test_qos_that_cannot_match_is_named_and_can_be_overridden(camera: StereoCamera) -> None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math
 import os
@@ -27,7 +28,7 @@ from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.types import F32, U8
-from stereo_depth_ros.datasets.dataset import StereoDataset
+from stereo_depth_ros.datasets.dataset import DatasetFrame, StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.kitti import KittiDataset
 from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
@@ -45,7 +46,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "euroc": {},  # block matching, as a user gets it
 }
 SIZES = {"kitti": (1226, 370), "euroc": (752, 480)}
-PAIRS = {"kitti": 21, "euroc": 24}
+PAIRS = 12
 ENCODINGS = {
     "/left/image_rect": "mono8",
     "/left/image_rect_color": "mono8",  # both sequences are gray
@@ -77,6 +78,20 @@ options, config = ReplayOptions(bag=bag, output=output), pipeline_config(paramet
 result = replay_through_graph(options, shape, parameters, config, lambda sent, total: None)
 print(json.dumps({"result": result.to_json(), "received": received}))
 """
+
+
+class FirstPairs:
+    """The first pairs of a dataset, as a dataset."""
+
+    def __init__(self, dataset: StereoDataset) -> None:
+        self._dataset = dataset
+        self.rig, self.has_stamps, self.files = dataset.rig, dataset.has_stamps, dataset.files
+
+    def __len__(self) -> int:
+        return PAIRS
+
+    def __iter__(self) -> Iterator[DatasetFrame]:
+        return itertools.islice(self._dataset, PAIRS)
 
 
 @dataclass(frozen=True)
@@ -127,8 +142,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def datasets(stereo_data: Path) -> dict[str, StereoDataset]:
     return {
-        "kitti": KittiDataset(stereo_data / "kitti_odometry" / "seqA_1226x370"),
-        "euroc": EurocDataset(stereo_data / "euroc" / "V1_01_micro"),
+        "kitti": FirstPairs(KittiDataset(stereo_data / "kitti_odometry" / "seqA_1226x370")),
+        "euroc": FirstPairs(EurocDataset(stereo_data / "euroc" / "V1_01_micro")),
     }
 
 
@@ -178,9 +193,9 @@ def test_every_pair_has_its_outputs_once_and_in_order(
 ) -> None:
     run = played(name, shape)
     stamps = [frame.left.stamp_ns for frame in datasets[name]]
-    assert len(stamps) == PAIRS[name]
+    assert len(stamps) == PAIRS
     reported = {key: run.result[key] for key in ("pairs", "lost", "unpaired_left", "unpaired_right", "warnings")}
-    assert reported == {"pairs": PAIRS[name], "lost": 0, "unpaired_left": 0, "unpaired_right": 0, "warnings": []}
+    assert reported == {"pairs": PAIRS, "lost": 0, "unpaired_left": 0, "unpaired_right": 0, "warnings": []}
     for topic in OUTPUTS:
         came = [stamp for name, stamp in run.received if name == topic]
         while came[1:2] == stamps[:1]:
@@ -239,7 +254,7 @@ def row_errors(bag: Path, topic: str) -> list[float]:
     """Of four pairs over the sequence."""
     images = []
     for side in ("left", "right"):
-        found = list(messages_of(bag, f"/{side}/{topic}").values())[::6]
+        found = list(messages_of(bag, f"/{side}/{topic}").values())[::3]
         images.append([pixels_of(TYPES.deserialize(data, "sensor_msgs/msg/Image")) for data in found])
     return [median_row_error(left, right) for left, right in zip(*images, strict=True)]
 

@@ -71,7 +71,8 @@ def test_matchers(name: str) -> None:
         pytest.importorskip("maxflow")
 
     def make() -> Callable[[tuple[U8, U8]], bytes]:
-        matcher = create_matcher(name, num_disparities=32, correlation_window_size=9, speckle_size=50)
+        fields = {"num_disparities": 32, "correlation_window_size": 9, "speckle_size": 50, "iterations": 2}
+        matcher = create_matcher(name, **fields)
         return lambda images: result_bytes(matcher.match(*images))
 
     assert_as_in_one_thread(make, [textured_pair(1), textured_pair(2)], FRAMES.get(name, 2))

@@ -22,7 +22,8 @@ from stereo_depth_ros.nodes.transport import prepare_process, profile_path
 
 ROOT = Path(__file__).resolve().parents[1]
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-OWN_VARIABLES = (PROFILE, "FASTDDS_BUILTIN_TRANSPORTS", "RMW_IMPLEMENTATION", "SKIP_DEFAULT_XML_FILE")
+NEW_PROFILE = "FASTDDS_DEFAULT_PROFILES_FILE"  # the name since Fast DDS 3
+OWN_VARIABLES = (PROFILE, NEW_PROFILE, "FASTDDS_BUILTIN_TRANSPORTS", "RMW_IMPLEMENTATION", "SKIP_DEFAULT_XML_FILE")
 
 
 def clean_environment() -> dict[str, str]:
@@ -51,7 +52,7 @@ def test_profile_is_set_once_and_again(monkeypatch: pytest.MonkeyPatch, tmp_path
     for _ in range(2):
         report = prepare_process()
         assert report.profile.applied
-        assert os.environ[PROFILE] == str(ROOT / "config" / "fastdds.xml")
+        assert os.environ[PROFILE] == os.environ[NEW_PROFILE] == str(ROOT / "config" / "fastdds.xml")
         assert str(report) == f"transport: Fast DDS profile {profile_path()}; memory: {report.malloc.text}"
 
 
@@ -60,6 +61,7 @@ def test_profile_is_set_once_and_again(monkeypatch: pytest.MonkeyPatch, tmp_path
     [
         (PROFILE, "/etc/mine.xml", f"{PROFILE} is '/etc/mine.xml'"),
         (PROFILE, "", f"{PROFILE} is ''"),
+        (NEW_PROFILE, "/etc/mine.xml", f"{NEW_PROFILE} is '/etc/mine.xml'"),
         ("FASTDDS_BUILTIN_TRANSPORTS", "LARGE_DATA", "FASTDDS_BUILTIN_TRANSPORTS is LARGE_DATA"),
         ("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp", "RMW_IMPLEMENTATION is rmw_cyclonedds_cpp: set up shared memory"),
     ],

@@ -8,7 +8,13 @@ from pathlib import Path
 
 from architecture import render_files, render_tree
 from drawing import render_drawing
-from parameter_tables import render_matcher_table, render_parameter_table, render_yaml
+from parameter_tables import (
+    render_launch_table,
+    render_matcher_table,
+    render_parameter_table,
+    render_uniqueness_table,
+    render_yaml,
+)
 
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.files.output import write_file
@@ -22,12 +28,18 @@ def render_all(root: Path) -> dict[str, str]:
     Raises:
         ConfigError: a document has no place for a table.
     """
-    readme = {"matchers": render_matcher_table(), "parameters": render_parameter_table()}
-    architecture = {"tree": render_tree(root), "files": render_files(root)}
+    documents = {
+        "README.md": {"matchers": render_matcher_table()},
+        "docs/parameters.md": {
+            "parameters": render_parameter_table(),
+            "uniqueness": render_uniqueness_table(),
+            "launch": render_launch_table(root / "launch" / "stereo_depth.launch.py"),
+        },
+        "docs/ARCHITECTURE.md": {"tree": render_tree(root), "files": render_files(root)},
+    }
     return {
         "config/stereo_depth.yaml": render_yaml(),
-        "README.md": _with_sections(root / "README.md", readme),
-        "docs/ARCHITECTURE.md": _with_sections(root / "docs" / "ARCHITECTURE.md", architecture),
+        **{path: _with_sections(root / path, sections) for path, sections in documents.items()},
         "docs/architecture.svg": render_drawing(root),
     }
 

@@ -1,18 +1,24 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS parameter file and the README's tables of matchers and parameters, from the configuration's metadata."""
+"""The ROS parameter file and the tables of matchers, parameters and launch arguments of the documentation."""
 
 from __future__ import annotations
 
+import ast
 import json
 from collections.abc import Iterator
+from pathlib import Path
 
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
 from stereo_depth_ros.config.matchers import MATCHERS
 
-__all__ = ["render_matcher_table", "render_parameter_table", "render_yaml"]
-
-TYPE_NAMES = {bool: "bool", int: "int", float: "double", str: "string"}
+__all__ = [
+    "render_launch_table",
+    "render_matcher_table",
+    "render_parameter_table",
+    "render_uniqueness_table",
+    "render_yaml",
+]
 
 YAML_HEAD = """\
 # Every parameter at its default. Any node of stereo_depth_ros takes this file and uses the parameters that it has:
@@ -35,15 +41,33 @@ def render_parameter_table() -> str:
         for info in parameter_infos(stage):
             default = "`" + _yaml_value(info.default) + "`"
             meaning = info.doc if info.run_time else f"{info.doc} Fixed at start."
-            rows.append(_row(name, f"`{info.name}`", TYPE_NAMES[info.type], default, info.range_text, meaning))
+            rows.append(_row(name, f"`{info.name}`", info.ros_type, default, info.range_text, meaning))
     return "\n".join(rows)
 
 
 def render_matcher_table() -> str:
     """The Markdown table of all matchers, one row each, in the order of their numbers."""
-    rows = ["| number | name | what it does | `uniqueness_ratio` |", "| --- | --- | --- | --- |"]
-    for number, info in enumerate(MATCHERS.values()):
-        rows.append(_row(str(number), f"`{info.name}`", info.sentence, info.uniqueness or "no effect"))
+    rows = ["| number | name | what it does |", "| --- | --- | --- |"]
+    rows += [_row(str(number), f"`{info.name}`", info.sentence) for number, info in enumerate(MATCHERS.values())]
+    return "\n".join(rows)
+
+
+def render_uniqueness_table() -> str:
+    """The Markdown table of the meaning of ``uniqueness_ratio``, one row for each matcher."""
+    rows = ["| matcher | `uniqueness_ratio` |", "| --- | --- |"]
+    rows += [_row(f"`{info.name}`", info.uniqueness or "no effect") for info in MATCHERS.values()]
+    return "\n".join(rows)
+
+
+def render_launch_table(launch_file: Path) -> str:
+    """The Markdown table of the arguments of the launch file that are not parameters, from its table ``ARGUMENTS``.
+
+    The file is parsed, not imported: ``launch`` is available with ROS 2 only.
+    """
+    assignments = [node for node in ast.parse(launch_file.read_text("utf-8")).body if isinstance(node, ast.Assign)]
+    (arguments,) = (ast.literal_eval(node.value) for node in assignments if ast.unparse(node.targets[0]) == "ARGUMENTS")
+    rows = ["| argument | default | meaning |", "| --- | --- | --- |"]
+    rows += [_row(f"`{name}`", f"`{default}`" if default else "", text) for name, (default, text) in arguments.items()]
     return "\n".join(rows)
 
 

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Generic, TypeVar
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
@@ -22,7 +23,9 @@ from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
 from stereo_depth_ros.messages.image import decode
 
-__all__ = ["BagPairs", "BagSelection", "SerializedPair"]
+__all__ = ["BagPairs", "BagSelection", "PerCalibration", "SerializedPair", "read_pairs"]
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,27 @@ class SerializedPair:
             CalibrationError: camera infos that are not those of a rectified rig.
         """
         return StereoRig.from_infos(*(types.deserialize(info, INFO_TYPE) for info in (self.left_info, self.right_info)))
+
+
+class PerCalibration(Generic[T]):
+    """What is built for the rig of a pair; kept until a camera info changes.
+
+    Args:
+        types: deserializes the camera infos.
+        build: builds it; raises what :meth:`of` raises, besides the errors of :meth:`SerializedPair.rig`.
+    """
+
+    def __init__(self, types: RosbagsTypes, build: Callable[[StereoRig], T]) -> None:
+        self._types = types
+        self._build = build
+        self._last: tuple[tuple[bytes, bytes], T] | None = None
+
+    def of(self, pair: SerializedPair) -> T:
+        """That of the pair."""
+        calibration = pair.calibration
+        if self._last is None or self._last[0] != calibration:
+            self._last = calibration, self._build(pair.rig(self._types))
+        return self._last[1]
 
 
 class BagPairs:
@@ -234,3 +258,20 @@ class BagPairs:
             with_stamp(left_info, stamp_ns),
             with_stamp(right_info, right_stamp_ns),
         )
+
+
+def read_pairs(bag: str | Path) -> Iterator[tuple[StereoPair, StereoRig]]:
+    """The pairs of a bag in the order of their stamps, each with its rig; the same rig until a camera info changes.
+
+    Args:
+        bag: MCAP or .db3 file, rosbag2 folder or ROS 1 bag.
+
+    Raises:
+        BagError, TopicError: no readable stereo bag.
+        MessageError, CalibrationError: an image or a camera info that cannot be used.
+    """
+    types = RosbagsTypes()
+    rigs = PerCalibration(types, lambda rig: rig)
+    with BagPairs(BagSelection(Path(bag)), PairingConfig()) as pairs:
+        for pair in pairs.pairs():
+            yield pair.images(types, pairs.topics.image_type), rigs.of(pair)

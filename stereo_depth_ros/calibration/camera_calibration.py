@@ -16,6 +16,7 @@ from stereo_depth_ros.calibration.projection import MODELS, camera_matrix, proje
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.rays import normalized_points
+from stereo_depth_ros.geometry.robust import robust_sigma
 
 __all__ = ["MIN_LIMIT_PX", "MIN_VIEWS", "CameraSolution", "DroppedView", "calibrate_camera", "outlier_view"]
 
@@ -101,7 +102,7 @@ def outlier_view(view_rms_px: F64) -> tuple[int, str] | None:
     at = int(np.argmax(view_rms_px))
     others = np.delete(view_rms_px, at)
     median = float(np.median(others))
-    sigma = 1.4826 * float(np.median(np.abs(others - median)))
+    sigma = robust_sigma(others - median)
     limit = max(median + _MAX_SIGMAS * sigma, _MAX_RATIO * median, MIN_LIMIT_PX)
     if view_rms_px[at] <= limit:
         return None

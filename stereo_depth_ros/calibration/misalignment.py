@@ -24,6 +24,7 @@ from stereo_depth_ros.calibration.row_error import RowMatches
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.geometry.robust import robust_sigma
 
 __all__ = ["CorrectionLimits", "Misalignment", "MisalignmentEstimator", "corrected_rig"]
 
@@ -202,7 +203,7 @@ def _robust_step(errors: F64, jacobian: F64) -> tuple[F64, F64]:
 
 def _deviation(values: F64) -> float:
     """Standard deviation from the median absolute value; above 0."""
-    return max(1.4826 * float(np.median(np.abs(values))), 1e-6)
+    return max(robust_sigma(values), 1e-6)
 
 
 def _standard_deviations(errors: F64, jacobian: F64, weights: F64, frame_of_match: npt.NDArray[np.intp]) -> F64:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.geometry.robust import robust_sigma
 from stereo_depth_ros.matching.features.corners import detect_fast, mutual_best, squared_distances
 from stereo_depth_ros.matching.features.lucas_kanade import refine_right_points
 from stereo_depth_ros.matching.protocol import check_images
@@ -125,6 +126,6 @@ def _without_outliers(matches: RowMatches) -> RowMatches:
 
 
 def _inliers(residuals: F64) -> npt.NDArray[np.bool_]:
-    sigma_px = 1.4826 * float(np.median(np.abs(residuals)))
+    sigma_px = robust_sigma(residuals)
     near: npt.NDArray[np.bool_] = np.abs(residuals) <= max(OUTLIER_PX, OUTLIER_SIGMAS * sigma_px)
     return near

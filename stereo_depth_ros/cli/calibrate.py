@@ -35,27 +35,49 @@ _LISTED = 5  # names listed in one warning
 
 @app.command()
 def calibrate(
-    place: Annotated[Path, typer.Argument(metavar="BAG|DIR", help="Raw stereo bag, or folder of images.")],
-    size: Annotated[str, typer.Option(metavar="9x6", help="Columns x rows of inner corners, squares or tags.")],
-    square: Annotated[float, typer.Option(metavar="METERS", help="Side of a square, or of a tag of an aprilgrid.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")],
-    board: Annotated[str, typer.Option(metavar="NAME", help=f"Calibration board: {', '.join(BOARDS)}.")] = "chessboard",
-    model: Annotated[str, typer.Option(metavar="NAME", help=f"Distortion model: {', '.join(MODELS)}.")] = "plumb_bob",
+    place: Annotated[
+        Path, typer.Argument(metavar="BAG|DIR", help="Read this raw stereo bag, or this folder of images.")
+    ],
+    size: Annotated[str, typer.Option(metavar="9x6", help="Set the columns x rows of inner corners, squares or tags.")],
+    square: Annotated[
+        float, typer.Option(metavar="METERS", help="Set the side of a square, or of a tag of an aprilgrid.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Write the files to this folder.")],
+    board: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", help=f"Look for this board: {', '.join(BOARDS)}.", autocompletion=lambda: [*BOARDS]
+        ),
+    ] = "chessboard",
+    model: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", help=f"Use this distortion model: {', '.join(MODELS)}.", autocompletion=lambda: [*MODELS]
+        ),
+    ] = "plumb_bob",
     marker: Annotated[
         float | None,
-        typer.Option(metavar="METERS", help="ChArUco board: side of a marker; default: 3/4 of a square."),
+        typer.Option(
+            metavar="METERS", help="Set the side of a marker of a ChArUco board; the default is 3/4 of a square."
+        ),
     ] = None,
     dictionary: Annotated[
-        str, typer.Option(metavar="NAME", help="ChArUco board: dictionary of the markers.")
+        str, typer.Option(metavar="NAME", help="Set the dictionary of the markers of a ChArUco board.")
     ] = "DICT_4X4_50",
     spacing: Annotated[
-        float, typer.Option(metavar="RATIO", help="Aprilgrid: gap between tags relative to the side of a tag.")
+        float, typer.Option(metavar="RATIO", help="Set the gap between the tags of an aprilgrid, relative to a tag.")
     ] = 0.3,
     left: Annotated[
-        str | None, typer.Option(metavar="TOPIC|GLOB", help="Left image topic or file pattern; detected by default.")
+        str | None,
+        typer.Option(
+            metavar="TOPIC|GLOB", help="Read the left images from this topic or these files; found by default."
+        ),
     ] = None,
     right: Annotated[
-        str | None, typer.Option(metavar="TOPIC|GLOB", help="Right image topic or file pattern; detected by default.")
+        str | None,
+        typer.Option(
+            metavar="TOPIC|GLOB", help="Read the right images from this topic or these files; found by default."
+        ),
     ] = None,
     json_file: Json = None,
     overwrite: Overwrite = False,

@@ -24,24 +24,28 @@ app = new_app(
     "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth on /truth/disparity."
 )
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset.")]
-Output = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Bag to write.")]
-Rate = Annotated[float, typer.Option(metavar="HZ", help="Pairs per second, used if the dataset has no time stamps.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Read the dataset in this folder.")]
+Output = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Write this bag.")]
+Rate = Annotated[float, typer.Option(metavar="HZ", help="Set the pairs per second, if the dataset has no time stamps.")]
 
 
 @app.command()
 def middlebury(
     folder: Folder,
     output: Output,
-    calibration: Annotated[Path | None, typer.Option(metavar="FILE", help="calib.txt; that of DIR by default.")] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Use this calib.txt instead of that of DIR.")
+    ] = None,
     focal_px: Annotated[
-        float | None, typer.Option(metavar="PIXELS", help="Focal length if there is no calib.txt; needs --baseline-m.")
+        float | None,
+        typer.Option(metavar="PIXELS", help="Set the focal length if there is no calib.txt; needs --baseline-m."),
     ] = None,
     baseline_m: Annotated[
-        float | None, typer.Option(metavar="METERS", help="Baseline if there is no calib.txt; needs --focal-px.")
+        float | None,
+        typer.Option(metavar="METERS", help="Set the baseline if there is no calib.txt; needs --focal-px."),
     ] = None,
     doffs: Annotated[
-        float | None, typer.Option(metavar="PIXELS", help="Difference cx_right - cx_left, as in calib.txt.")
+        float | None, typer.Option(metavar="PIXELS", help="Set the difference cx_right - cx_left, as in calib.txt.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -91,10 +95,10 @@ def images(
     folder: Folder,
     output: Output,
     left_yaml: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Calibration; DIR/left.yaml by default.")
+        Path | None, typer.Option(metavar="FILE", help="Use this left calibration instead of DIR/left.yaml.")
     ] = None,
     right_yaml: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Calibration; DIR/right.yaml by default.")
+        Path | None, typer.Option(metavar="FILE", help="Use this right calibration instead of DIR/right.yaml.")
     ] = None,
     rate: Rate = 10.0,
     overwrite: Overwrite = False,

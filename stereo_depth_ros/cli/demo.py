@@ -26,7 +26,9 @@ app = new_app()
 
 @app.command()
 def demo(
-    output_dir: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the bag and the image.")] = Path("out"),
+    output_dir: Annotated[Path, typer.Option(metavar="DIR", help="Write the bag and the image to this folder.")] = Path(
+        "out"
+    ),
     separate: Separate = False,
     matcher: Matcher = None,
     json_file: Json = None,

@@ -41,7 +41,8 @@ _SHOWN = {
 @app.command()
 def doctor(
     bag: Annotated[
-        Path | None, typer.Argument(metavar="BAG", help="MCAP or .db3 file, or rosbag2 folder; not with --live.")
+        Path | None,
+        typer.Argument(metavar="BAG", help="Examine this bag: an MCAP or .db3 file, or a rosbag2 folder."),
     ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Examine the running graph in the current ROS_DOMAIN_ID.")
@@ -49,13 +50,13 @@ def doctor(
     left: Left = None,
     right: Right = None,
     left_namespace: Annotated[
-        str, typer.Option(metavar="NAME", help="With --live: namespace of the left camera.")
+        str, typer.Option(metavar="NAME", help="Look for the left camera in this namespace, with --live.")
     ] = "left",
     right_namespace: Annotated[
-        str, typer.Option(metavar="NAME", help="With --live: namespace of the right camera.")
+        str, typer.Option(metavar="NAME", help="Look for the right camera in this namespace, with --live.")
     ] = "right",
     seconds: Annotated[
-        float, typer.Option(min=0.1, max=3600, metavar="SECONDS", help="With --live: time to listen.")
+        float, typer.Option(min=0.1, max=3600, metavar="SECONDS", help="Listen for this time, with --live.")
     ] = 5.0,
     json_file: Json = None,
     overwrite: Overwrite = False,
@@ -65,8 +66,8 @@ def doctor(
     In a bag, topics are detected as by `info`. With --live they are image_raw (or else image_rect) and camera_info in
     the two namespaces, unless --left and --right are given.
 
-    Exit codes: 0 no fault (there may be warnings), 1 a fault, or nothing can be examined, 2 wrong usage, 3 no fault was
-    found but some checks were skipped.
+    Exit codes are 0 without a fault (there may be warnings), 1 for a fault or if nothing can be examined, 2 for wrong
+    usage, and 3 where no fault was found but some checks were skipped.
 
     \b
     Examples:

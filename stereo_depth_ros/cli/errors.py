@@ -10,7 +10,7 @@ from typing import Any
 from stereo_depth_ros.config import CONFIGS, parameter_infos
 from stereo_depth_ros.core.errors import StereoDepthError
 
-__all__ = ["command_options", "error_line", "error_text", "param_options"]
+__all__ = ["command_options", "error_line", "error_text", "given_value", "param_options"]
 
 
 def command_options(command: Any) -> set[str]:
@@ -37,6 +37,13 @@ def error_text(error: StereoDepthError | OSError, options: Collection[str] | Non
     found = [option for name in error.settings if (option := _option(name, options))]
     text = f"{error} ({', '.join(found)})" if found else str(error)
     return " ".join(text.splitlines())
+
+
+def given_value(error: Any) -> str:
+    """The value that typer refuses, where its message lacks it: `` (given: 0)``; else an empty string."""
+    errors = getattr(error.__cause__, "errors", None)  # of pydantic, whose messages state only the limit
+    refused: list[Any] = errors() if callable(errors) else []
+    return f" (given: {refused[0]['input']})" if refused else ""
 
 
 def param_options(values: Mapping[str, bool | int | float | str]) -> str:

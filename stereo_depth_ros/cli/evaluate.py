@@ -43,10 +43,15 @@ app = new_app()
 def evaluate(
     context: typer.Context,
     places: Annotated[
-        list[Path], typer.Argument(metavar="DIR|BAG", help="Dataset folders, or bags with ground truth.")
+        list[Path], typer.Argument(metavar="DIR|BAG", help="Read these dataset folders, or bags with ground truth.")
     ],
     matcher: Annotated[
-        list[str], typer.Option(metavar="NAME", help=f"Matcher to evaluate; may be repeated: {', '.join(MATCHERS)}.")
+        list[str],
+        typer.Option(
+            metavar="NAME",
+            help=f"Evaluate this matcher; the option may be repeated: {', '.join(MATCHERS)}.",
+            autocompletion=lambda: [*MATCHERS],
+        ),
     ],
     param: Params = None,
     json_file: Json = None,
@@ -68,7 +73,7 @@ def evaluate(
     "bad x" is the percentage of the matched pixels with truth whose error is above x px; "all" counts pixels without a
     disparity as wrong. In the JSON and CSV files density is a fraction from 0 to 1.
 
-    Exit codes: 0 success, 1 an error, 2 wrong usage, 3 some scenes or matchers were skipped.
+    Exit codes are 0 for success, 1 for an error, 2 for wrong usage and 3 where scenes or matchers were skipped.
 
     \b
     Examples:

@@ -25,7 +25,7 @@ def info(
 ) -> None:
     """List the contents of a bag and state whether it is usable for stereo depth, and if not, why.
 
-    Exit codes: 0 usable, 1 not usable or an error, 2 wrong usage.
+    Exit codes are 0 for a usable bag, 1 for a bag that is not usable or an error, and 2 for wrong usage.
 
     \b
     Examples:

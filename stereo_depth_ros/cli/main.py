@@ -15,26 +15,27 @@ from importlib import metadata
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
-from stereo_depth_ros.cli.errors import command_options, error_line
+from stereo_depth_ros.cli.errors import command_options, error_line, given_value
+from stereo_depth_ros.cli.shell import require_known_shell
 from stereo_depth_ros.cli.stdout import finish_stdout
 from stereo_depth_ros.core.errors import StereoDepthError
 
 __all__ = ["COMMANDS", "app", "main"]
 
-# name of the command, which is also its module (with _ for -), and the first line of its help
+# In the order of use: name of the command, which is also its module (with _ for -), and the first line of its help
 COMMANDS: Mapping[str, str] = {
+    "demo": "Play the sample bag through the live graph, print the results, and write a bag and an image.",
     "info": "List the contents of a bag and state whether it is usable for stereo depth, and if not, why.",
+    "doctor": "Examine the calibration, time stamps and images of a stereo setup, and state faults and remedies.",
     "process": "Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.",
     "replay": "Play a bag through the live graph in the current ROS_DOMAIN_ID and record the outputs.",
-    "demo": "Play the sample bag through the live graph, print the results, and write a bag and an image.",
-    "doctor": "Examine the calibration, time stamps and images of a stereo setup, and state faults and remedies.",
     "calibrate": "Calibrate both cameras and the rig from image pairs of a calibration board.",
     "rectify": "Rectify a pair of images, with or without a calibration.",
     "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
-    "evaluate": "Compare the disparities of matchers with ground truth, and measure their computing time.",
     "convert": "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth.",
+    "evaluate": "Compare the disparities of matchers with ground truth, and measure their computing time.",
     "synthesize": "Write a synthetic stereo bag with exact ground truth.",
     "parameters": "List every parameter with its default, range and meaning.",
     "compile-kernels": "Compile the kernels of every method in advance; otherwise each is compiled on first use.",
@@ -44,9 +45,9 @@ COMMANDS: Mapping[str, str] = {
 class CommandTable(TyperGroup):
     """The group of all commands; imports the module of a command on demand."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Names of all commands."""
-        return list(COMMANDS)
+    def __init__(self, **settings: Any) -> None:
+        """Commands by name and help only, which are listed, completed and suggested without being imported."""
+        super().__init__(**{**settings, "commands": {n: TyperCommand(n, help=text) for n, text in COMMANDS.items()}})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of that name; None if it does not exist."""
@@ -56,6 +57,25 @@ class CommandTable(TyperGroup):
         command = typer.main.get_command(module.app)
         command.name = cmd_name
         return command
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the options of the program."""
+        if {"--install-completion", "--show-completion"} & {*args} and not ctx.resilient_parsing:
+            require_known_shell()
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; errors about the value of an option name the value."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message += given_value(error)
+            raise
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Completions of a command or option, without importing the commands."""
+        names = TyperGroup(commands={**self.commands}, params=self.params)
+        return names.shell_complete(typer.Context(names), incomplete)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Print the table of commands without importing them."""
@@ -68,7 +88,6 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -85,7 +104,7 @@ def stereo_depth(
         bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
     ] = False,
 ) -> None:
-    """Stereo depth for ROS 2: from bags and live graphs to disparity, depth and point clouds."""
+    """Compute disparity, depth and point clouds from stereo images, of bags and of live ROS 2 graphs."""
 
 
 def main() -> None:
@@ -93,7 +112,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _interrupt)  # stops started nodes and removes incomplete outputs, as after Ctrl-C
     try:
         try:
-            app()
+            app(prog_name="stereo-depth")
         finally:
             finish_stdout()
     except (StereoDepthError, OSError) as error:

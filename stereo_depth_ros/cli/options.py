@@ -27,25 +27,42 @@ __all__ = [
     "new_app",
 ]
 
-Bag = Annotated[Path, typer.Argument(metavar="BAG", help="MCAP or .db3 file, or rosbag2 folder.")]
-BagOutput = Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="Bag to write.")]
+Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Read this bag: an MCAP or .db3 file, or a rosbag2 folder.")]
+BagOutput = Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="Write the outputs to this bag.")]
 Json = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - prints it instead of tables.")
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing output files.")]
-Left = Annotated[str | None, typer.Option("--left", metavar="TOPIC", help="Left image topic; detected by default.")]
-Right = Annotated[str | None, typer.Option("--right", metavar="TOPIC", help="Right image topic; detected by default.")]
-Start = Annotated[float, typer.Option(min=0, metavar="SECONDS", help="Time to skip at the beginning of the bag.")]
-Duration = Annotated[float, typer.Option(min=0, metavar="SECONDS", help="Time to read; 0: all.")]
-Matcher = Annotated[str | None, typer.Option(metavar="NAME", help=f"Matcher: {', '.join(MATCHERS)}.")]
+_TOPIC = "Read the {} images from this topic; it is detected by default."
+Left = Annotated[str | None, typer.Option("--left", metavar="TOPIC", help=_TOPIC.format("left"))]
+Right = Annotated[str | None, typer.Option("--right", metavar="TOPIC", help=_TOPIC.format("right"))]
+Start = Annotated[float, typer.Option(min=0, metavar="SECONDS", help="Skip this time at the beginning of the bag.")]
+Duration = Annotated[
+    float, typer.Option(min=0, metavar="SECONDS", help="Read the bag for this time only; 0 reads to the end.")
+]
+Matcher = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"Compute disparities with this matcher: {', '.join(MATCHERS)}.",
+        autocompletion=lambda: [*MATCHERS],
+    ),
+]
 Params = Annotated[
-    list[str] | None, typer.Option("--param", "-p", metavar="NAME:=VALUE", help="Set a parameter; may be repeated.")
+    list[str] | None,
+    typer.Option("--param", "-p", metavar="NAME:=VALUE", help="Set a parameter; the option may be repeated."),
 ]
 ParamsFile = Annotated[
     Path | None,
-    typer.Option("--params-file", metavar="FILE", help="ROS parameter file; --param and --matcher take precedence."),
+    typer.Option(
+        "--params-file",
+        metavar="FILE",
+        help="Take parameters from this ROS file; --param and --matcher take precedence.",
+    ),
 ]
-Separate = Annotated[bool, typer.Option("--separate", help="One process per node instead of one for all stages.")]
+Separate = Annotated[
+    bool, typer.Option("--separate", help="Start one process for each node instead of one for all stages.")
+]
 
 
 def new_app(help: str | None = None) -> typer.Typer:

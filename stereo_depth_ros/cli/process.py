@@ -47,7 +47,7 @@ def process(
 ) -> None:
     """Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.
 
-    Exit codes: 0 success, 1 an error, 2 wrong usage, 3 some pairs were skipped.
+    Exit codes are 0 for success, 1 for an error, 2 for wrong usage and 3 where some pairs were skipped.
 
     \b
     Examples:

@@ -45,22 +45,26 @@ _AGREE_PX = 3.0  # matches whose row error differs more from the median are outl
 
 @app.command()
 def rectify(
-    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Left image, raw.")],
-    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Right image, raw.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")],
+    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Read this raw image of the left camera.")],
+    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Read this raw image of the right camera.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Write the files to this folder.")],
     rig: Annotated[
         list[Path] | None,
-        typer.Option("--rig", metavar="FILE|DIR|BAG", help="Calibration: left.yaml, its folder, or a bag."),
+        typer.Option("--rig", metavar="FILE|DIR|BAG", help="Use this calibration: left.yaml, its folder, or a bag."),
     ] = None,
     uncalibrated: Annotated[
         bool, typer.Option("--uncalibrated", help="Rectify from matched features; --rig then removes distortion only.")
     ] = False,
     method: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help=f"Compute new R and P: {', '.join(METHODS)}; default: those of the rig."),
+        typer.Option(
+            metavar="NAME",
+            help=f"Compute new R and P by this method: {', '.join(METHODS)}; by default, use those of the rig.",
+            autocompletion=lambda: [*METHODS],
+        ),
     ] = None,
     alpha: Annotated[
-        float, typer.Option(metavar="0..1", help="With --method: 0 keeps valid pixels only, 1 keeps all raw pixels.")
+        float, typer.Option(metavar="0..1", help="Keep valid pixels only with 0, all raw pixels with 1; for --method.")
     ] = 0.0,
     json_file: Json = None,
     overwrite: Overwrite = False,

@@ -45,19 +45,19 @@ def replay(
     param: Params = None,
     params_file: ParamsFile = None,
     rate: Annotated[
-        float, typer.Option(min=0, metavar="FACTOR", help="Maximum speed relative to the recording; 0: no limit.")
+        float, typer.Option(min=0, metavar="FACTOR", help="Limit the speed relative to the recording; 0 sets no limit.")
     ] = 0.0,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Send pairs at the rate of the recording; late pairs are dropped.")
     ] = False,
     clock: Annotated[bool, typer.Option("--clock", help="Publish /clock; the nodes use simulated time.")] = False,
-    loop: Annotated[int, typer.Option(min=1, metavar="N", help="Number of times to play the bag.")] = 1,
+    loop: Annotated[int, typer.Option(min=1, metavar="N", help="Play the bag this number of times.")] = 1,
     start: Start = 0.0,
     duration: Duration = 0.0,
     left: Left = None,
     right: Right = None,
     in_flight: Annotated[
-        int, typer.Option(min=1, max=100, metavar="N", help="Number of pairs processed at the same time.")
+        int, typer.Option(min=1, max=100, metavar="N", help="Process up to this number of pairs at a time.")
     ] = 1,
     health: Annotated[bool, typer.Option("--health", help="Run the calibration monitor as well.")] = False,
     auto_correct: Annotated[
@@ -71,7 +71,7 @@ def replay(
     A pair is sent when all outputs of the previous one have been received, so that nothing is lost; with --realtime
     pairs are sent at the rate of the recording and may be lost.
 
-    Exit codes: 0 success, 1 an error, 2 wrong usage, 3 outputs were lost.
+    Exit codes are 0 for success, 1 for an error, 2 for wrong usage and 3 where outputs were lost.
 
     \b
     Examples:

@@ -16,6 +16,7 @@ from stereo_depth_ros.cli.options import Json, Left, Overwrite, Params, ParamsFi
 from stereo_depth_ros.cli.output import parameter_files, show, warn
 from stereo_depth_ros.cli.rig_tables import rig_tables
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8
@@ -45,18 +46,24 @@ _PLOT_POINTS = 300
 @app.command()
 def rig(
     paths: Annotated[
-        list[Path], typer.Argument(metavar="LEFT.yaml RIGHT.yaml|DIR|BAG", help="Camera files, their folder, or a bag.")
+        list[Path],
+        typer.Argument(metavar="LEFT.yaml RIGHT.yaml|DIR|BAG", help="Read these camera files, their folder, or a bag."),
     ],
     nearest: Annotated[
         float | None,
         typer.Option(
-            metavar="M", help="Nearest depth needed, meters; by default where the disparity is 1/8 of the width."
+            metavar="M", help="Set the nearest depth needed, in meters; by default, its disparity is 1/8 of the width."
         ),
     ] = None,
     max_error: Annotated[
-        float, typer.Option(metavar="PERCENT", help="Largest useful depth error, in percent of the depth.")
+        float, typer.Option(metavar="PERCENT", help="Set the largest useful depth error, in percent of the depth.")
     ] = 5.0,
-    matcher: Annotated[str | None, typer.Option(metavar="NAME", help="Matcher whose disparity step is used.")] = None,
+    matcher: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Use the disparity step of this matcher.", autocompletion=lambda: [*MATCHERS]
+        ),
+    ] = None,
     param: Params = None,
     params_file: ParamsFile = None,
     left: Left = None,

@@ -21,11 +21,11 @@ app = new_app()
 
 @app.command()
 def synthesize(
-    output: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Bag to write.")],
-    frames: Annotated[int, typer.Option(min=1, metavar="N", help="Number of pairs.")] = 20,
-    width: Annotated[int, typer.Option(min=16, metavar="PIXELS", help="Width of the images.")] = 640,
-    height: Annotated[int, typer.Option(min=16, metavar="PIXELS", help="Height of the images.")] = 480,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Random seed of textures and noise.")] = 7,
+    output: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Write this bag.")],
+    frames: Annotated[int, typer.Option(min=1, metavar="N", help="Render this number of pairs.")] = 20,
+    width: Annotated[int, typer.Option(min=16, metavar="PIXELS", help="Render images of this width.")] = 640,
+    height: Annotated[int, typer.Option(min=16, metavar="PIXELS", help="Render images of this height.")] = 480,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Set the random seed of textures and noise.")] = 7,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a synthetic stereo bag with exact ground truth: a room seen by a moving rig of verged, distorted cameras.

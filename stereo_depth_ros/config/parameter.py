@@ -37,6 +37,11 @@ class ParameterInfo:
     run_time: bool = True
 
     @property
+    def ros_type(self) -> str:
+        """The type by its name in ROS."""
+        return {bool: "bool", int: "int", float: "double", str: "string"}[self.type]
+
+    @property
     def range_text(self) -> str:
         """Range, step and unit, or the choices, as text; empty if there are none."""
         if self.choices:

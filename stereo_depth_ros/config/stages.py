@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the stages and nodes: one frozen dataclass each.
 
-Declared ROS parameters and their descriptors, ``config/*.yaml``, command-line options and the table in the README are
-generated from the metadata here.
+Declared ROS parameters and their descriptors, ``config/*.yaml``, command-line options and the tables of the
+documentation are generated from the metadata here.
 """
 
 from __future__ import annotations

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
-from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
+from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, SerializedPair
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import TopicError
-from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
@@ -46,8 +45,7 @@ class BagScenes:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._types = RosbagsTypes()
-        self._calibration: tuple[bytes, bytes] | None = None
-        self._rectified: tuple[StereoRig, Rectifier] | None = None
+        self._rectifiers = PerCalibration(self._types, lambda rig: (rig, Rectifier(rig)))
         with BagReader(path) as reader:
             if TRUTH_TOPIC not in reader.topics:
                 raise TopicError(
@@ -79,16 +77,9 @@ class BagScenes:
         return f"{self._path.resolve().stem}/{number:04d}"
 
     def _load(self, pair: SerializedPair, image_type: str, truth: bytes) -> Scene:
-        rig, rectifier = self._rectifier_of(pair)
+        rig, rectifier = self._rectifiers.of(pair)
         rectified = rectifier.rectify(pair.images(self._types, image_type))
         truth_px = matched_disparity(self._types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
         if truth_px.shape == rectified.left.shape:  # make_scene refuses other sizes
             truth_px[~rectifier.left_source] = np.nan
         return make_scene(rectified.left, rectified.right, truth_px, doffs_px=rig.doffs_px)
-
-    def _rectifier_of(self, pair: SerializedPair) -> tuple[StereoRig, Rectifier]:
-        """The rig of a pair and its rectifier, kept until the camera infos change."""
-        if self._rectified is None or pair.calibration != self._calibration:
-            rig = pair.rig(self._types)
-            self._rectified, self._calibration = (rig, Rectifier(rig)), pair.calibration
-        return self._rectified

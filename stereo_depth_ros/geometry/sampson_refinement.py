@@ -18,6 +18,7 @@ from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.epipolar import homogeneous
 from stereo_depth_ros.geometry.levenberg_marquardt import StopRules, damped_step, minimize
 from stereo_depth_ros.geometry.relative_pose import cross_matrix
+from stereo_depth_ros.geometry.robust import robust_sigma
 
 __all__ = ["common_scale", "refine_essential", "refine_fundamental", "robust_cost", "robust_scale"]
 
@@ -30,7 +31,7 @@ def robust_scale(distances: F64) -> float:
 
     Above 0 for matches without noise too.
     """
-    return max(2.5 * 1.4826 * float(np.median(distances)), 1e-6)
+    return max(2.5 * robust_sigma(distances), 1e-6)
 
 
 def robust_cost(distances: F64, scale: float) -> float:

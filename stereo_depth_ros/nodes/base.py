@@ -7,7 +7,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -22,11 +22,13 @@ from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.diagnostics import NodeDiagnostics
-from stereo_depth_ros.nodes.message_types import RclpyTypes
-from stereo_depth_ros.nodes.parameters import NodeParameters
+from stereo_depth_ros.nodes.interface import NodeInterface
+from stereo_depth_ros.nodes.message_types import RclpyTypes, message_class
+from stereo_depth_ros.nodes.parameters import NodeParameters, parameters_of_ros
 
 __all__ = ["Output", "StereoNode", "log_compilation"]
 
+_IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _SILENCE_S = 5.0  # an input without a message for this time is reported
 
 
@@ -41,6 +43,11 @@ class Output:
 
     def __init__(self, publisher: Publisher) -> None:
         self._publisher = publisher
+
+    @property
+    def topic(self) -> str:
+        """The resolved topic."""
+        return str(self._publisher.topic_name)
 
     @property
     def wanted(self) -> bool:
@@ -64,33 +71,36 @@ class _Input:
 
 
 class StereoNode(Node):  # type: ignore[misc]
-    """A node that subscribes to its inputs while one of its outputs has a subscriber.
+    """A node that subscribes to its inputs while one of its outputs has a subscriber, or always if it is not lazy.
 
-    Args:
-        name: node name.
-        configs: config classes whose parameters it declares, besides PairingConfig.
+    Attributes:
+        interface: its name, the types of its topics, and its configs, of which PairingConfig is one.
+        matcher: name of the matcher; empty without one.
 
     Raises:
         ConfigError: see :class:`NodeParameters`.
     """
 
-    def __init__(self, name: str, *configs: type) -> None:
-        super().__init__(name)
+    interface: ClassVar[NodeInterface]
+    matcher = ""
+
+    def __init__(self) -> None:
+        with parameters_of_ros():
+            super().__init__(self.interface.name)
         self.types = RclpyTypes()
-        self.parameters = NodeParameters(self, PairingConfig, *configs)
+        self.parameters = NodeParameters(self, *self.interface.configs)
         self.parameters.on_change = self._follow_demand
         self.diagnostics = NodeDiagnostics(self)
         self._outputs: list[Output] = []
         self._inputs: list[_Input] = []
         self.on_idle: list[Callable[[], object]] = []  # called when the last output loses its last subscriber
         self._awake = False
-        self._always_awake = False
         self.create_timer(_SILENCE_S, self._report_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def add_output(self, message_type: Any, topic: str) -> Output:
-        """A reliable publisher; its first subscriber wakes the node."""
+    def add_output(self, topic: str) -> Output:
+        """A reliable publisher of a topic of the interface; its first subscriber wakes the node."""
         publisher = self.create_publisher(
-            message_type,
+            message_class(self.interface.outputs[topic]),
             topic,
             QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=5, reliability=ReliabilityPolicy.RELIABLE),
             event_callbacks=PublisherEventCallbacks(matched=lambda _: self._follow_demand()),
@@ -99,15 +109,16 @@ class StereoNode(Node):  # type: ignore[misc]
         self._outputs.append(Output(publisher))
         return self._outputs[-1]
 
-    def add_input(
-        self,
-        message_type: Any,
-        topic: str,
-        callback: Callable[[Any], None],
-        wanted: Callable[[], bool] = lambda: True,
-    ) -> None:
-        """A best-effort subscription while an output and this input are needed; errors of the callback are reported."""
-        self._inputs.append(_Input(message_type, topic, callback, wanted))
+    def add_input(self, topic: str, callback: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True) -> None:
+        """A best-effort subscription of a topic of the interface while an output and this input are needed.
+
+        Images are raw or compressed, by image_transport. Errors of the callback are reported.
+        """
+        msgtype = self.interface.inputs[topic]
+        if msgtype == _IMAGE and self.parameters.get(PairingConfig).image_transport == "compressed":
+            topic, msgtype = f"{topic}/compressed", _COMPRESSED
+        self._inputs.append(_Input(message_class(msgtype), topic, callback, wanted))
+        self._follow_demand()
 
     def refuse_equal_topics(self, left: str, right: str) -> None:
         """Raise TopicError where both cameras were remapped to the same topic."""
@@ -119,16 +130,31 @@ class StereoNode(Node):  # type: ignore[misc]
 
     def check_matcher(self, config: MatchingConfig) -> None:
         """Compile the kernels of the matcher; raise ConfigError where it refuses its parameters."""
-        matcher_from_config(config)
+        self.matcher = matcher_from_config(config).name
         compile_kernels(functools.partial(log_compilation, self))
 
-    def stay_awake(self) -> None:
-        """Keep the inputs subscribed without subscribers of the outputs; to be called when all of them are added."""
-        self._always_awake = True
-        self._follow_demand()
+    def readiness(self) -> list[str]:
+        """Lines for the log: the inputs with their QoS, then the matcher and the outputs."""
+        by_qos: dict[str, list[str]] = {}
+        for topic in dict.fromkeys(self.resolve_topic_name(item.topic) for item in self._inputs):
+            by_qos.setdefault(self._qos_text(topic), []).append(topic)
+        inputs = "; ".join(f"{', '.join(topics)} ({qos})" for qos, topics in by_qos.items())
+        parts = ["ready", *([f"matcher {self.matcher}"] if self.matcher else [])]
+        parts.append("publishing" if self._awake else "waiting for a subscriber of")
+        outputs = ", ".join(output.topic for output in self._outputs)
+        return [f"inputs: {inputs}", f"{'; '.join(parts)} {outputs}"]
+
+    def _qos_text(self, topic: str) -> str:
+        """Reliability and depth of the subscription of a resolved topic, as the user may have overridden them."""
+        policies = {"reliability": "best_effort", "depth": self.parameters.get(PairingConfig).queue_size}
+        for policy in policies:
+            override = self._parameter_overrides.get(f"qos_overrides.{topic}.subscription.{policy}")
+            if override is not None:
+                policies[policy] = override.value
+        return f"{str(policies['reliability']).replace('_', ' ')}, depth {policies['depth']}"
 
     def _follow_demand(self) -> None:
-        demand = self._always_awake or any(output.wanted for output in self._outputs)
+        demand = not self.interface.lazy or any(output.wanted for output in self._outputs)
         for item in self._inputs:
             wanted = demand and item.wanted()
             if wanted and item.subscription is None:
@@ -171,16 +197,23 @@ class StereoNode(Node):  # type: ignore[misc]
         )
 
     def _report_silence(self) -> None:
+        """Report all silent inputs in one error, by remedy; count each of them."""
+        silent: dict[str, list[str]] = {}
         for item in self._inputs:
             if item.subscription is not None and item.received == item.received_before:
+                self.diagnostics.counters[f"silent {item.topic}"] += 1
                 topic = self.resolve_topic_name(item.topic)
-                publishers = self.count_publishers(topic)
-                remedy = (
-                    f"{publishers} publisher(s): check their QoS and that they publish"
-                    if publishers
-                    else "no publisher: start the camera or remap the topic"
-                )
-                self.diagnostics.report_error(
-                    f"silent {item.topic}", f"{topic}: nothing received for {_SILENCE_S:g} s; {remedy}"
-                )
+                silent.setdefault(_silence_remedy(self.count_publishers(topic)), []).append(topic)
             item.received_before = item.received
+        if silent:
+            groups = [
+                f"{', '.join(dict.fromkeys(topics))}: nothing received for {_SILENCE_S:g} s; {remedy}"
+                for remedy, topics in silent.items()
+            ]
+            self.diagnostics.report_error("silent inputs", ". ".join(groups))
+
+
+def _silence_remedy(publishers: int) -> str:
+    if publishers:
+        return f"{publishers} publisher(s): check their QoS and that they publish"
+    return "no publisher: start the camera or remap the topic"

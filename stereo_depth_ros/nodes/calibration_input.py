@@ -9,8 +9,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo
-
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
@@ -36,7 +34,7 @@ class CalibrationInput:
         self._waiting: deque[Callable[[StereoRig], None]] = deque()
         node.refuse_equal_topics(_LEFT, _RIGHT)
         for topic in (_LEFT, _RIGHT):
-            node.add_input(CameraInfo, topic, functools.partial(self._receive, topic))
+            node.add_input(topic, functools.partial(self._receive, topic))
         node.on_idle.append(self._forget)
 
     def with_rig(self, use: Callable[[StereoRig], None]) -> None:

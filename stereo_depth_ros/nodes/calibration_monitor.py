@@ -10,13 +10,12 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from stereo_depth_ros.calibration.auto_correction import AutoCorrection, Correction
 from stereo_depth_ros.calibration.misalignment import CorrectionLimits, Misalignment, MisalignmentEstimator
 from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
-from stereo_depth_ros.config import CalibrationMonitorConfig
+from stereo_depth_ros.config import CalibrationMonitorConfig, PairingConfig
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import sensor_intrinsics
 from stereo_depth_ros.core.images import to_gray
@@ -24,7 +23,9 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput, info_contents
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
+from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.message_types import message_class
+from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
 from stereo_depth_ros.nodes.runner import run
 
 __all__ = ["CalibrationMonitor", "main"]
@@ -45,28 +46,41 @@ _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabilit
 
 
 class CalibrationMonitor(StereoNode):
-    """Subscribes {left,right}/{image_rect,camera_info}, publishes health/row_error, and its findings on /diagnostics.
+    """Its findings are on health/row_error and /diagnostics.
 
     With auto_correct it publishes right/camera_info_corrected, one for each right/camera_info, for the node that
     rectifies to subscribe instead, and the applied correction, latched, on health/correction.
     """
 
+    interface = NodeInterface(
+        "calibration_monitor",
+        configs=(PairingConfig, CalibrationMonitorConfig),
+        inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
+        outputs={
+            "health/row_error": "std_msgs/msg/Float64MultiArray",
+            "right/camera_info_corrected": "sensor_msgs/msg/CameraInfo",
+            "health/correction": "diagnostic_msgs/msg/DiagnosticArray",
+        },
+        lazy=False,
+    )
+
     def __init__(self) -> None:
-        super().__init__("calibration_monitor", CalibrationMonitorConfig)
+        super().__init__()
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._config = self.parameters.get(CalibrationMonitorConfig)
         self._calibration = CalibrationInput(self)
-        self._row_error = self.add_output(Float64MultiArray, "health/row_error")
+        self._row_error = self.add_output("health/row_error")
         self._watch: _Watch | None = None
         self._examined_ns = -math.inf
         pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
-        add_image_input(self, "left/image_rect", pairs.add_left)
-        add_image_input(self, "right/image_rect", pairs.add_right)
+        self.add_input("left/image_rect", pairs.add_left)
+        self.add_input("right/image_rect", pairs.add_right)
         if self._config.auto_correct:
-            self._corrected = self.add_output(CameraInfo, "right/camera_info_corrected")
-            self._correction = self.create_publisher(DiagnosticArray, "health/correction", _LATCHED)
-            self.add_input(CameraInfo, "right/camera_info", self._on_right_info)
-        self.stay_awake()
+            self._corrected = self.add_output("right/camera_info_corrected")
+            correction = "health/correction"
+            message_type = message_class(self.interface.outputs[correction])
+            self._correction = self.create_publisher(message_type, correction, _LATCHED)
+            self.add_input("right/camera_info", self._on_right_info)
 
     def _on_pair(self, left: Any, right: Any) -> None:
         now_ns, rate = stamp_ns(left.header), self.parameters.get(CalibrationMonitorConfig).health_rate

@@ -13,15 +13,13 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from sensor_msgs.msg import Image
 from sensor_msgs.srv import SetCameraInfo
-from std_srvs.srv import Trigger
 
 from stereo_depth_ros.calibration.board_options import create_board, parse_board_size
 from stereo_depth_ros.calibration.calibration_files import calibration_files, save_calibration
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.live_calibration import LiveCalibration, ViewStatus
-from stereo_depth_ros.config import CalibrationConfig
+from stereo_depth_ros.config import CalibrationConfig, PairingConfig
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError, OutputError, StereoDepthError
 from stereo_depth_ros.core.images import to_gray
@@ -31,7 +29,9 @@ from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.interface import RAW_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.message_types import message_class
+from stereo_depth_ros.nodes.pair_input import PairInput, decode_from
 from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.plots.coverage import coverage_plot
@@ -46,15 +46,25 @@ _SEE_LOG = "read the log of the driver"
 
 
 class CalibrationNode(StereoNode):
-    """Subscribes {left,right}/image_raw, publishes calibration/image: views taken so far, and what to do next.
+    """The image calibration/image shows the views taken so far, and what to do next.
 
-    Services: ~/calibrate solves with the views taken, ~/save writes the files of `stereo-depth calibrate`, ~/commit
+    ~/calibrate solves with the views taken, ~/save writes the files of `stereo-depth calibrate`, ~/commit
     sends the camera infos to {left,right}/set_camera_info of the drivers. Boards are detected in a separate thread;
     pairs that arrive meanwhile are skipped.
     """
 
+    interface = NodeInterface(
+        "calibration_node",
+        configs=(PairingConfig, CalibrationConfig),
+        inputs=RAW_IMAGES,
+        outputs={"calibration/image": "sensor_msgs/msg/Image"},
+        services={f"~/{name}": "std_srvs/srv/Trigger" for name in ("calibrate", "save", "commit")},
+        clients={f"{side}/set_camera_info": "sensor_msgs/srv/SetCameraInfo" for side in SIDES},
+        lazy=False,
+    )
+
     def __init__(self) -> None:
-        super().__init__("calibration_node", CalibrationConfig)
+        super().__init__()
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         config = self.parameters.get(CalibrationConfig)
         board = create_board(
@@ -67,17 +77,17 @@ class CalibrationNode(StereoNode):
         )
         self._live = LiveCalibration(board, config.lens_model, config.max_board_motion)
         self._lock = threading.Lock()  # of the live calibration
-        self._overlay = self.add_output(Image, "calibration/image")
+        self._overlay = self.add_output("calibration/image")
         pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
-        add_image_input(self, "left/image_raw", pairs.add_left)
-        add_image_input(self, "right/image_raw", pairs.add_right)
-        for name, act in (("calibrate", self._calibrate), ("save", self._save), ("commit", self._commit)):
-            self.create_service(Trigger, f"~/{name}", self._service(act))
+        self.add_input("left/image_raw", pairs.add_left)
+        self.add_input("right/image_raw", pairs.add_right)
+        for name, msgtype in self.interface.services.items():
+            act = {"~/calibrate": self._calibrate, "~/save": self._save, "~/commit": self._commit}[name]
+            self.create_service(message_class(msgtype), name, self._service(act))
         self._newest: queue.Queue[tuple[Any, Any] | None] = queue.Queue(1)
         self._worker = threading.Thread(target=self._work, name="board", daemon=True)
         self._worker.start()
         self._report("waiting for images")
-        self.stay_awake()
 
     def destroy_node(self) -> None:
         """Ends the thread, then the node."""
@@ -186,7 +196,7 @@ class CalibrationNode(StereoNode):
         executor = SingleThreadedExecutor(context=self.context)
         executor.add_node(node)
         try:
-            clients = [self._client(node, self.resolve_service_name(f"{side}/set_camera_info")) for side in SIDES]
+            clients = [self._client(node, self.resolve_service_name(name)) for name in self.interface.clients]
             self._send(executor, clients[0], rig.left)
             try:
                 self._send(executor, clients[1], rig.right)

@@ -1,15 +1,12 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Depth from published disparities: disparity to depth/image_rect and depth/camera_info (REP 118)."""
+"""Computes depth from published disparities: disparity to depth/image_rect and depth/camera_info (REP 118)."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo, Image
-from stereo_msgs.msg import DisparityImage
-
-from stereo_depth_ros.config import DepthConfig
+from stereo_depth_ros.config import DepthConfig, PairingConfig
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.camera_info import rectified_camera_info
 from stereo_depth_ros.messages.depth import depth_message
@@ -18,6 +15,7 @@ from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.interface import CAMERA_INFOS, NodeInterface
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.depth import depth_from_disparity
 
@@ -25,15 +23,22 @@ __all__ = ["DepthNode", "main"]
 
 
 class DepthNode(StereoNode):
-    """Subscribes disparity and {left,right}/camera_info, publishes depth/image_rect and depth/camera_info."""
+    """Depth is in meters or millimeters, see the parameter depth_encoding."""
+
+    interface = NodeInterface(
+        "depth_node",
+        configs=(PairingConfig, DepthConfig),
+        inputs={**CAMERA_INFOS, "disparity": "stereo_msgs/msg/DisparityImage"},
+        outputs={"depth/image_rect": "sensor_msgs/msg/Image", "depth/camera_info": "sensor_msgs/msg/CameraInfo"},
+    )
 
     def __init__(self) -> None:
-        super().__init__("depth_node", DepthConfig)
+        super().__init__()
         self._pool = PayloadPool(self.types)
         self._calibration = CalibrationInput(self)
-        self._image = self.add_output(Image, "depth/image_rect")
-        self._info = self.add_output(CameraInfo, "depth/camera_info")
-        self.add_input(DisparityImage, "disparity", self._receive)
+        self._image = self.add_output("depth/image_rect")
+        self._info = self.add_output("depth/camera_info")
+        self.add_input("disparity", self._receive)
 
     def _receive(self, message: Any) -> None:
         self._calibration.with_rig(lambda rig: self._publish(message, rig))

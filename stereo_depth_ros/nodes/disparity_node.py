@@ -7,16 +7,15 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from stereo_msgs.msg import DisparityImage
-
-from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.disparity import match_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
+from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.disparity import DisparityStage
 from stereo_depth_ros.stages.rectification import Rectifier
@@ -25,20 +24,27 @@ __all__ = ["DisparityNode", "main"]
 
 
 class DisparityNode(StereoNode):
-    """Subscribes {left,right}/{image_rect,camera_info}, publishes disparity."""
+    """The matcher is that of the parameter stereo_algorithm."""
+
+    interface = NodeInterface(
+        "disparity_node",
+        configs=(PairingConfig, MatchingConfig),
+        inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
+        outputs={"disparity": "stereo_msgs/msg/DisparityImage"},
+    )
 
     def __init__(self) -> None:
-        super().__init__("disparity_node", MatchingConfig)
+        super().__init__()
         self.parameters.require(MatchingConfig, self.check_matcher)
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._pool = PayloadPool(self.types)
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._stage = functools.lru_cache(maxsize=1)(DisparityStage)
         self._calibration = CalibrationInput(self)
-        self._output = self.add_output(DisparityImage, "disparity")
+        self._output = self.add_output("disparity")
         pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
-        add_image_input(self, "left/image_rect", pairs.add_left)
-        add_image_input(self, "right/image_rect", pairs.add_right)
+        self.add_input("left/image_rect", pairs.add_left)
+        self.add_input("right/image_rect", pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
         self._calibration.with_rig(lambda rig: self._match(left, right, rig))

@@ -1,22 +1,21 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sparse points from rectified pairs: left, right image_rect to features/points2."""
+"""Computes sparse points from rectified pairs: left, right image_rect to features/points2."""
 
 from __future__ import annotations
 
 import functools
 from typing import Any
 
-from sensor_msgs.msg import PointCloud2
-
-from stereo_depth_ros.config import CloudConfig, MatchingConfig
+from stereo_depth_ros.config import CloudConfig, MatchingConfig, PairingConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.messages.point_cloud import sparse_cloud_message
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
+from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.features import FeatureStage
 from stereo_depth_ros.stages.point_cloud import CloudLayout
@@ -26,21 +25,26 @@ __all__ = ["FeatureNode", "main"]
 
 
 class FeatureNode(StereoNode):
-    """Subscribes {left,right}/{image_rect,camera_info}, publishes features/points2: matched features only.
+    """The matcher is always features, not that of stereo_algorithm: one parameter file serves all nodes."""
 
-    The matcher is always ``features``, not that of stereo_algorithm: one parameter file serves all nodes.
-    """
+    interface = NodeInterface(
+        "feature_node",
+        configs=(PairingConfig, MatchingConfig, CloudConfig),
+        inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
+        outputs={"features/points2": "sensor_msgs/msg/PointCloud2"},
+    )
+    matcher = "features"
 
     def __init__(self) -> None:
-        super().__init__("feature_node", MatchingConfig, CloudConfig)
+        super().__init__()
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._stage = functools.lru_cache(maxsize=1)(FeatureStage)
         self._calibration = CalibrationInput(self)
-        self._output = self.add_output(PointCloud2, "features/points2")
+        self._output = self.add_output("features/points2")
         pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
-        add_image_input(self, "left/image_rect", pairs.add_left)
-        add_image_input(self, "right/image_rect", pairs.add_right)
+        self.add_input("left/image_rect", pairs.add_left)
+        self.add_input("right/image_rect", pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
         self._calibration.with_rig(lambda rig: self._publish(left, right, rig))

@@ -1,13 +1,11 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs the messages of two topics by their stamps; adds and decodes image inputs."""
+"""Pairs the messages of two topics by their stamps; decodes images."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
-
-from sensor_msgs.msg import CompressedImage, Image
 
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.pairing import StereoPairing
@@ -17,7 +15,7 @@ from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 
-__all__ = ["PairInput", "add_image_input", "decode_from", "decode_side"]
+__all__ = ["PairInput", "decode_from", "decode_side"]
 
 
 class PairInput:
@@ -67,16 +65,6 @@ class PairInput:
                 f"{topics}: stamps went backwards, waiting messages were dropped: expected when a bag starts again, "
                 "else check the clock of the camera driver",
             )
-
-
-def add_image_input(
-    node: StereoNode, topic: str, callback: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True
-) -> None:
-    """Subscribe an image topic by image_transport: raw, or compressed with its suffix."""
-    if node.parameters.get(PairingConfig).image_transport == "compressed":
-        node.add_input(CompressedImage, f"{topic}/compressed", callback, wanted)
-    else:
-        node.add_input(Image, topic, callback, wanted)
 
 
 def decode_from(node: StereoNode, topic: str, message: Any) -> Frame:

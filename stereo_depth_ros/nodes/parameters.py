@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
@@ -15,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos, replace_checked, unknown_parameter
 from stereo_depth_ros.core.errors import ConfigError, StereoDepthError
 
-__all__ = ["NodeParameters", "error_text"]
+__all__ = ["NodeParameters", "error_text", "parameters_of_ros"]
 
 ConfigT = TypeVar("ConfigT")
 
@@ -91,6 +93,15 @@ class NodeParameters:
         return SetParametersResult(successful=True)
 
 
+@contextmanager
+def parameters_of_ros() -> Iterator[None]:
+    """Around the making of a node, which declares parameters of rclpy; ConfigError where it refuses their values."""
+    try:
+        yield
+    except ParameterException as error:
+        raise ConfigError(str(error), remedy="set a value of this type") from error
+
+
 def error_text(error: StereoDepthError, parameters: Mapping[str, str] = _PARAMETERS) -> str:
     """An error as a node reports it: with the parameters that its remedy is about.
 
@@ -116,8 +127,18 @@ def _refuse_unknown(overrides: dict[str, Any]) -> None:
 def _refuse_unknown_qos(overrides: dict[str, Any]) -> None:
     """At start: rclpy would check them only when a topic is subscribed, which may be much later."""
     for name, value in overrides.items():
+        if not name.startswith(_QOS_OVERRIDES):
+            continue
+        if name.endswith(".depth") and (type(value) is not int or value < 0):
+            raise ConfigError(
+                f"parameter {name} = {value!r} is not a whole number of messages",
+                value=value,
+                limit=0,
+                remedy="set 0 or more",
+                settings=(name,),
+            )
         policy = _QOS_POLICIES.get(name.rpartition(".")[2])
-        if policy and name.startswith(_QOS_OVERRIDES) and str(value).lower() not in policy.short_keys():
+        if policy and str(value).lower() not in policy.short_keys():
             keys = policy.short_keys()
             raise ConfigError(
                 f"parameter {name} = {value!r} is not one of {', '.join(keys)}",

@@ -1,15 +1,12 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points from published disparities: disparity and the left rectified image to points2."""
+"""Computes points from published disparities: disparity and the left rectified image to points2."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from sensor_msgs.msg import PointCloud2
-from stereo_msgs.msg import DisparityImage
-
-from stereo_depth_ros.config import CloudConfig
+from stereo_depth_ros.config import CloudConfig, PairingConfig
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.disparity import published_disparity, published_triangulation
 from stereo_depth_ros.messages.payloads import PayloadPool
@@ -17,7 +14,8 @@ from stereo_depth_ros.messages.point_cloud import cloud_message
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_from
+from stereo_depth_ros.nodes.interface import CAMERA_INFOS, NodeInterface
+from stereo_depth_ros.nodes.pair_input import PairInput, decode_from
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.point_cloud import CloudLayout
 
@@ -27,19 +25,23 @@ _COLOR = "left/image_rect_color"
 
 
 class PointCloudNode(StereoNode):
-    """Subscribes disparity, left/image_rect_color and {left,right}/camera_info, publishes points2.
+    """While use_color is false it does not wait for an image."""
 
-    While use_color is false it does not wait for an image.
-    """
+    interface = NodeInterface(
+        "point_cloud_node",
+        configs=(PairingConfig, CloudConfig),
+        inputs={**CAMERA_INFOS, "disparity": "stereo_msgs/msg/DisparityImage", _COLOR: "sensor_msgs/msg/Image"},
+        outputs={"points2": "sensor_msgs/msg/PointCloud2"},
+    )
 
     def __init__(self) -> None:
-        super().__init__("point_cloud_node", CloudConfig)
+        super().__init__()
         self._pool = PayloadPool(self.types)
         self._calibration = CalibrationInput(self)
-        self._output = self.add_output(PointCloud2, "points2")
+        self._output = self.add_output("points2")
         self._pairs = PairInput(self, "disparity", _COLOR, self._on_pair)
-        self.add_input(DisparityImage, "disparity", self._receive)
-        add_image_input(self, _COLOR, self._pairs.add_right, wanted=lambda: self._config.use_color)
+        self.add_input("disparity", self._receive)
+        self.add_input(_COLOR, self._pairs.add_right, wanted=lambda: self._config.use_color)
 
     @property
     def _config(self) -> CloudConfig:

@@ -7,15 +7,15 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from sensor_msgs.msg import Image
-
+from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.pair_input import add_image_input, decode_side
+from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.pair_input import decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.rectification import Rectifier
 
@@ -23,10 +23,21 @@ __all__ = ["RectifyNode", "main"]
 
 
 class RectifyNode(StereoNode):
-    """Subscribes {left,right}/{image_raw,camera_info}, publishes {left,right}/{image_rect,image_rect_color}."""
+    """Each camera is rectified by itself, without waiting for the image of the other one."""
+
+    interface = NodeInterface(
+        "rectify_node",
+        configs=(PairingConfig,),
+        inputs=CAMERA_INFOS | RAW_IMAGES,
+        outputs={
+            f"{side}/{name}": "sensor_msgs/msg/Image"
+            for side in ("left", "right")
+            for name in ("image_rect", "image_rect_color")
+        },
+    )
 
     def __init__(self) -> None:
-        super().__init__("rectify_node")
+        super().__init__()
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         self._pool = PayloadPool(self.types)
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
@@ -37,8 +48,8 @@ class RectifyNode(StereoNode):
         def receive(message: Any) -> None:
             self._calibration.with_rig(lambda rig: self._rectify(side, message, rig))
 
-        add_image_input(self, f"{side}/image_raw", receive)
-        return self.add_output(Image, f"{side}/image_rect"), self.add_output(Image, f"{side}/image_rect_color")
+        self.add_input(f"{side}/image_raw", receive)
+        return self.add_output(f"{side}/image_rect"), self.add_output(f"{side}/image_rect_color")
 
     def _rectify(self, side: str, message: Any, rig: StereoRig) -> None:
         gray_output, color_output = self._sides[side]

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -21,8 +22,10 @@ from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
 from stereo_depth_ros.core.errors import BagError, GraphError, StereoDepthError
 from stereo_depth_ros.evaluation.bag_score import score_disparity
-from stereo_depth_ros.nodes.parameters import error_text
-from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts
+from stereo_depth_ros.nodes.command_line import answer_help, start_ros
+from stereo_depth_ros.nodes.interface import NodeInterface
+from stereo_depth_ros.nodes.parameters import error_text, parameters_of_ros
+from stereo_depth_ros.nodes.replay.graph_ports import PUBLISHED, SUBSCRIBED, GraphPorts
 from stereo_depth_ros.nodes.replay.player import Player
 from stereo_depth_ros.nodes.replay.recorder import Recorder
 from stereo_depth_ros.nodes.transport import prepare_process
@@ -30,12 +33,15 @@ from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.options import ReplayOptions
 
-__all__ = ["check_recording", "main", "play", "replay"]
+__all__ = ["INTERFACE", "check_recording", "main", "play", "replay"]
 
 _DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes publish their timings once a second
+INTERFACE = NodeInterface(
+    "replay_node", configs=(ReplayOptions, PairingConfig), inputs=SUBSCRIBED, outputs=PUBLISHED, lazy=False
+)
 # Parameters by the names that errors use
 _PARAMETERS = {
-    **{info.name: info.name for config in (ReplayOptions, PairingConfig) for info in parameter_infos(config)},
+    **{info.name: info.name for config in INTERFACE.configs for info in parameter_infos(config)},
     "left": "left_topic",
     "right": "right_topic",
 }
@@ -68,7 +74,7 @@ def replay(
     context = Context()
     rclpy.init(args=[], context=context)
     try:
-        node = Node("replay_node", context=context)
+        node = Node(INTERFACE.name, context=context)
         try:
             return play(node, options, config or PipelineConfig(), progress, check)
         finally:
@@ -142,15 +148,18 @@ def _check_played(options: ReplayOptions, player: Player, errors_reported: str) 
 
 
 def main() -> int:
-    """Run the node: play, log the summary, end.
+    """Run the node: play, log the summary, end; or print its help.
 
     Returns:
-        0 after playing or a signal, 1 where the bag cannot be played, 3 where outputs were lost.
+        0 after playing, a signal or the help, 1 where the bag cannot be played, 3 where outputs were lost.
     """
+    if answer_help(INTERFACE, "Plays a stereo bag through the live graph, records the outputs, and ends.", sys.argv):
+        return 0
     prepare_process()
     try:
-        rclpy.init()
-        node = Node("replay_node")
+        start_ros(sys.argv)
+        with parameters_of_ros():
+            node = Node(INTERFACE.name)
         options = _declared(node, ReplayOptions)
         result = play(node, options, PipelineConfig(pairing=_declared(node, PairingConfig)))
         node.get_logger().info(_summary(result))

@@ -1,23 +1,26 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs a node: sets up the transport, then rclpy; returns 0 after SIGINT or SIGTERM, 1 if it cannot start."""
+"""Runs a node: sets up the transport, then rclpy; returns 0 after SIGINT, SIGTERM or --help, 1 if it cannot start."""
 
 from __future__ import annotations
 
+import dataclasses
 import faulthandler
 import functools
+import inspect
 import signal
-from collections.abc import Callable
+import sys
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
-from rclpy.node import Node
 
-from stereo_depth_ros.core.errors import GraphError, StereoDepthError
+from stereo_depth_ros.core.errors import StereoDepthError
 from stereo_depth_ros.core.kernels import compile_kernels
-from stereo_depth_ros.nodes.base import log_compilation
+from stereo_depth_ros.nodes.base import StereoNode, log_compilation
+from stereo_depth_ros.nodes.command_line import answer_help, start_ros
+from stereo_depth_ros.nodes.interface import COMMON_OUTPUTS
 from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.readiness import announce_ready
 from stereo_depth_ros.nodes.transport import prepare_process
@@ -28,12 +31,16 @@ _SHUTDOWN_TIMEOUT_S = 4.0
 RCLError = rclpy_implementation.RCLError
 
 
-def run(make_node: Callable[[], Node]) -> int:
-    """Make the node, spin it until a signal, shut down.
+def run(node_type: type[StereoNode]) -> int:
+    """Make the node, spin it until a signal, shut down; or print its help.
 
     Returns:
-        0 after SIGINT or SIGTERM, 1 where ROS refuses its arguments or the node its parameters or topics.
+        0 after SIGINT, SIGTERM or the help, 1 where ROS refuses its arguments or the node its parameters or topics.
     """
+    about = f"{inspect.getdoc(sys.modules[node_type.__module__])}\n\n{inspect.getdoc(node_type)}"
+    interface = dataclasses.replace(node_type.interface, outputs={**node_type.interface.outputs, **COMMON_OUTPUTS})
+    if answer_help(interface, about, sys.argv):
+        return 0
     transport = prepare_process()
     interrupts: list[int] = []
     # Python's handler raises KeyboardInterrupt anywhere, in rclpy's C++ too, where it is lost or becomes another
@@ -41,15 +48,17 @@ def run(make_node: Callable[[], Node]) -> int:
     signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
     node = None
     try:
-        _init()
+        start_ros(sys.argv)
         if interrupts:
             return 0  # before rclpy handled signals
-        node = make_node()
+        node = node_type()
+        node.get_logger().info(str(transport))
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         compile_kernels(functools.partial(log_compilation, node))
         announce_ready(node)
-        node.get_logger().info(f"ready; {transport}")
+        for line in node.readiness():
+            node.get_logger().info(line)
         executor.spin()
     except StereoDepthError as error:
         get_logger("stereo_depth_ros").fatal(error_text(error))
@@ -69,12 +78,3 @@ def run(make_node: Callable[[], Node]) -> int:
         rclpy.try_shutdown()
         faulthandler.cancel_dump_traceback_later()
     return 0
-
-
-def _init() -> None:
-    try:
-        rclpy.init()
-    except RCLError as error:
-        raise GraphError(
-            f"ROS does not start: {error}", remedy="check the arguments after --ros-args, and ROS_DOMAIN_ID"
-        ) from error

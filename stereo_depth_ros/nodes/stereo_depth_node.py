@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The whole pipeline in one process: from raw pairs to rectified images, disparity, depth and points."""
+"""Runs the whole pipeline in one process: from raw pairs to rectified images, disparity, depth and points."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.message_types import message_class
-from stereo_depth_ros.nodes.pair_input import PairInput, add_image_input, decode_side
+from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline
@@ -22,21 +22,26 @@ __all__ = ["StereoDepthNode", "main"]
 
 
 class StereoDepthNode(StereoNode):
-    """Subscribes {left,right}/{image_raw,camera_info}, publishes those of all outputs that are subscribed."""
+    """It computes and publishes the outputs that have a subscriber."""
+
+    interface = NodeInterface(
+        "stereo_depth_node",
+        configs=(PairingConfig, MatchingConfig, DepthConfig, CloudConfig),
+        inputs=CAMERA_INFOS | RAW_IMAGES,
+        outputs={row.topic: row.msgtype for row in OUTPUTS},
+    )
 
     def __init__(self) -> None:
-        super().__init__("stereo_depth_node", MatchingConfig, DepthConfig, CloudConfig)
+        super().__init__()
         self.parameters.require(MatchingConfig, self.check_matcher)
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         self._pipeline: StereoPipeline | None = None
         self._messages = ResultMessages(self.types)
         self._calibration = CalibrationInput(self)
-        self._results = [
-            (self.add_output(message_class(row.msgtype), row.topic), row.topic, row.build) for row in OUTPUTS
-        ]
+        self._results = [(self.add_output(row.topic), row.topic, row.build) for row in OUTPUTS]
         pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
-        add_image_input(self, "left/image_raw", pairs.add_left)
-        add_image_input(self, "right/image_raw", pairs.add_right)
+        self.add_input("left/image_raw", pairs.add_left)
+        self.add_input("right/image_raw", pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
         self._calibration.with_rig(lambda rig: self._process(left, right, rig))

@@ -16,7 +16,8 @@ from stereo_depth_ros.files.installed_files import installed_files
 
 __all__ = ["Setting", "TransportReport", "prepare_process", "profile_path"]
 
-PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # the name that Fast DDS 2.x reads; 3.x reads another
+# The names that Fast DDS reads, 2.x the first one and 3.x (ROS 2 Kilted) the second one
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 WORKING_FOLDER_PROFILE = "DEFAULT_FASTRTPS_PROFILES.xml"  # Fast DDS 2.x reads this one too, from where it is started
 MALLOC_VARIABLE = "STEREO_DEPTH_MALLOPT"
 SHARED_MEMORY = Path("/dev/shm")
@@ -81,7 +82,7 @@ def _set_profile(environment: MutableMapping[str, str]) -> Setting:
     reason = _reason_against_profile(environment, profile)
     if reason:
         return Setting(False, f"Fast DDS profile not set, {reason}")
-    environment[PROFILE_VARIABLE] = str(profile)
+    environment.update(dict.fromkeys(PROFILE_VARIABLES, str(profile)))
     return Setting(True, f"Fast DDS profile {profile}")
 
 
@@ -90,8 +91,9 @@ def _reason_against_profile(environment: MutableMapping[str, str], profile: Path
     middleware = environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
     if not middleware.startswith("rmw_fastrtps"):
         return f"RMW_IMPLEMENTATION is {middleware}: set up shared memory there"
-    if environment.get(PROFILE_VARIABLE, str(profile)) != str(profile):
-        return f"{PROFILE_VARIABLE} is {environment[PROFILE_VARIABLE]!r}"
+    for variable in PROFILE_VARIABLES:
+        if environment.get(variable, str(profile)) != str(profile):
+            return f"{variable} is {environment[variable]!r}"
     if "FASTDDS_BUILTIN_TRANSPORTS" in environment:
         return f"FASTDDS_BUILTIN_TRANSPORTS is {environment['FASTDDS_BUILTIN_TRANSPORTS']}"
     if environment.get("SKIP_DEFAULT_XML_FILE") != "1" and Path(WORKING_FOLDER_PROFILE).is_file():

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
-from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, SerializedPair
+from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, SerializedPair
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
@@ -100,17 +100,16 @@ class _Engine:
     """Computes serialized pairs; the pipeline is rebuilt when a camera info changes."""
 
     def __init__(self, config: PipelineConfig) -> None:
-        self._config = config
         self._types = RosbagsTypes()
         self._messages = ResultMessages(self._types)
-        self._calibration: tuple[bytes, bytes] | None = None
-        self._pipeline: StereoPipeline | None = None
+        self._pipelines = PerCalibration(self._types, lambda rig: StereoPipeline(config, rig))
         self.rig: StereoRig | None = None  # of the last pair
 
     def process(self, pair: SerializedPair, image_type: str, writer: BagWriter) -> dict[str, float]:
         """Compute a pair and write its messages; returns milliseconds per stage."""
         images = pair.images(self._types, image_type)
-        result = self._pipeline_of(pair).process(images)
+        result = self._pipelines.of(pair).process(images)
+        self.rig = result.calibrated_rig
         writer.write_raw("/left/camera_info", INFO_TYPE, pair.left_info, pair.stamp_ns)
         writer.write_raw("/right/camera_info", INFO_TYPE, pair.right_info, pair.right_stamp_ns)
         for topic, message in self._outputs(result):
@@ -123,10 +122,3 @@ class _Engine:
             message = build(self._messages, result)
             result.timings_ms[f"make {topic}"] = 1e3 * (time.perf_counter() - start)
             yield f"/{topic}", message
-
-    def _pipeline_of(self, pair: SerializedPair) -> StereoPipeline:
-        if self._pipeline is None or pair.calibration != self._calibration:
-            self.rig = pair.rig(self._types)
-            self._pipeline = StereoPipeline(self._config, self.rig)
-            self._calibration = pair.calibration
-        return self._pipeline

@@ -16,7 +16,7 @@ __all__ = ["ReplayOptions"]
 
 
 def _option(default: bool | int | float | str, doc: str, **info: Any) -> Any:
-    return field(default=default, metadata={"doc": doc, **info})
+    return field(default=default, metadata={"doc": doc, "run_time": False, **info})
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
 from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 from stereo_depth_ros.geometry.correspondences import match_features
+from stereo_depth_ros.geometry.robust import robust_sigma
 
 __all__ = [
     "GOOD_ROWS_PX",
@@ -84,7 +85,7 @@ def _without_outliers(found: Sequence[tuple[F64, F64]]) -> RowMatching:
     left_px, right_px = (np.concatenate([np.empty((0, 2)), *points]) for points in zip(*found, strict=True))
     errors = left_px[:, 1] - right_px[:, 1]
     middle = np.median(errors) if errors.size else 0.0
-    deviation = 1.4826 * np.median(np.abs(errors - middle)) if errors.size else 0.0
+    deviation = robust_sigma(errors - middle) if errors.size else 0.0
     kept = np.abs(errors - middle) <= max(1.0, 4 * deviation)
     return RowMatching(left_px[kept], right_px[kept], len(found))
 

@@ -15,8 +15,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from std_msgs.msg import Float64MultiArray
 
 from stereo_depth_ros.bags.pairs import SerializedPair
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
@@ -25,15 +23,30 @@ from stereo_depth_ros.nodes.replay.recorder import Recorder
 from stereo_depth_ros.offline.report import stage_timings
 from stereo_depth_ros.outputs import OUTPUTS
 
-__all__ = ["GraphPorts"]
+__all__ = ["PUBLISHED", "SUBSCRIBED", "GraphPorts"]
 
 _MSGTYPES = {output.topic: output.msgtype for output in OUTPUTS}
 # Messages of the calibration monitor, recorded where it runs; whether they are latched
 _NOTES = {
-    "health/row_error": (Float64MultiArray, "std_msgs/msg/Float64MultiArray", False),
-    "health/correction": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray", True),
+    "health/row_error": ("std_msgs/msg/Float64MultiArray", False),
+    "health/correction": ("diagnostic_msgs/msg/DiagnosticArray", True),
 }
-_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
+_DIAGNOSTICS, _CLOCK = "/diagnostics", "/clock"
+_INFO_TYPE, _IMAGE_TYPE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Image"
+# Topic and type of the fields of a pair; compressed images have another type and a suffix
+_SENT = {
+    "left_info": ("left/camera_info", _INFO_TYPE),
+    "right_info": ("right/camera_info", _INFO_TYPE),
+    "left": ("left/image_raw", _IMAGE_TYPE),
+    "right": ("right/image_raw", _IMAGE_TYPE),
+}
+# All topics of the replay, and their types
+PUBLISHED = {**dict(_SENT.values()), _CLOCK: "rosgraph_msgs/msg/Clock"}
+SUBSCRIBED = {
+    **_MSGTYPES,
+    **{topic: msgtype for topic, (msgtype, _) in _NOTES.items()},
+    _DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+}
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ERRORS_LAST_S = 6.0
@@ -61,17 +74,12 @@ class GraphPorts:
         self._recorder = recorder
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
-        suffix, image_type = ("/compressed", CompressedImage) if compressed else ("", Image)
-        self._publishers = {
-            field: node.create_publisher(message_type, topic, _QOS)
-            for field, topic, message_type in (
-                ("left_info", "left/camera_info", CameraInfo),
-                ("right_info", "right/camera_info", CameraInfo),
-                ("left", f"left/image_raw{suffix}", image_type),
-                ("right", f"right/image_raw{suffix}", image_type),
-            )
-        }
-        self._clock: Publisher | None = node.create_publisher(Clock, "/clock", 10) if clock else None
+        self._publishers = {}
+        for field, (topic, msgtype) in _SENT.items():
+            if compressed and msgtype == _IMAGE_TYPE:
+                topic, msgtype = f"{topic}/compressed", "sensor_msgs/msg/CompressedImage"
+            self._publishers[field] = node.create_publisher(message_class(msgtype), topic, _QOS)
+        self._clock: Publisher | None = node.create_publisher(Clock, _CLOCK, 10) if clock else None
         self.output_topics = tuple(_MSGTYPES)
         self.on_output: Callable[[str, int, int], bool] = lambda topic, stamp_ns, now_ns: False
         self._subscriptions = {
@@ -80,9 +88,9 @@ class GraphPorts:
             )
             for topic, msgtype in _MSGTYPES.items()
         }
-        for topic, (message_type, _, latched) in _NOTES.items():
+        for topic, (msgtype, latched) in _NOTES.items():
             node.create_subscription(
-                message_type,
+                message_class(msgtype),
                 topic,
                 lambda data, topic=topic: self._note(topic, data),
                 _LATCHED_QOS if latched else _QOS,
@@ -92,7 +100,7 @@ class GraphPorts:
         self._statuses: dict[str, Any] = {}
         self._errors: list[str] = []
         self._played_from_s = math.inf  # by the monotonic clock
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 10)
+        node.create_subscription(DiagnosticArray, _DIAGNOSTICS, self._receive_diagnostics, 10)
 
     def spin(self, timeout_s: float) -> None:
         """Handle received messages, or wait for one up to that time."""
@@ -137,7 +145,7 @@ class GraphPorts:
         """Wait until every node that publishes diagnostics has done so once more."""
         self._statuses.clear()
         end = time.monotonic() + timeout_s
-        while len(self._statuses) < self._node.count_publishers("/diagnostics") and time.monotonic() < end:
+        while len(self._statuses) < self._node.count_publishers(_DIAGNOSTICS) and time.monotonic() < end:
             self.spin(0.05)
 
     def stages_ms(self) -> dict[str, tuple[float, float]]:
@@ -182,7 +190,7 @@ class GraphPorts:
             self._recorder.write(self._subscriptions[topic].topic_name, _MSGTYPES[topic], data, stamp_ns)
 
     def _note(self, topic: str, data: bytes) -> None:
-        _, msgtype, latched = _NOTES[topic]
+        msgtype, latched = _NOTES[topic]
         self._recorder.write(self._node.resolve_topic_name(topic), msgtype, data, self._sent_ns, latched)
 
     def _receive_diagnostics(self, message: Any) -> None:
