@@ -32,7 +32,8 @@ REQUIREMENTS = [
     "rich>=14.3.0",
     "rosbags>=0.11.6",  # earlier ones mix up the order of messages and do not refuse cut ones
     "ruamel.yaml>=0.17.21",
-    "typer>=0.19.0",
+    "shellingham>=1.5.4",
+    "typer>=0.26.0",  # earlier ones lose the help of arguments with the newest click
     "zstandard>=0.22.0",
 ]
 GRAPH_CUT = ["PyMaxflow>=1.3.0"]  # optional because it is under the GPL

@@ -42,6 +42,7 @@ ROSDEP_KEYS = {
     "rich": "",  # python3-rich, 13.7 in Ubuntu 24.04
     "rosbags": "",  # python3-rosbags-pip
     "ruamel.yaml": "python3-ruamel.yaml",
+    "shellingham": "",
     "typer": "",  # python3-typer, 0.9 in Ubuntu 24.04
     "zstandard": "",
 }
@@ -134,10 +135,13 @@ def test_manifest_names_the_rosdep_key_of_every_requirement(setup: SimpleNamespa
     assert keys == set(ROSDEP_KEYS.values()) - {""}
 
 
-def test_manifest_names_the_ros_packages_that_are_imported_and_no_others() -> None:
+def test_manifest_names_the_ros_packages_that_are_used_and_no_others() -> None:
+    text = "".join(path.read_text("utf-8") for path in (ROOT / PACKAGE / "nodes").rglob("*.py"))
+    types = set(re.findall(r'"(\w+)/(?:msg|srv)/\w+"', text))  # imported by the name of the message type
     imported = {found.imported.split(".")[0] for found in read_imports(ROOT)} | imports_of(("launch",))
-    ros = {name for name in imported if ROS.fullmatch(name)}
+    ros = {name for name in imported if ROS.fullmatch(name)} | types
     assert {"rclpy", "launch_ros", "sensor_msgs"} <= ros
+    assert "std_srvs" in types
     run = {name for name, kind in manifest().items() if kind == "exec_depend" and not name.startswith("python3-")}
     assert run - {"ros2launch"} == ros  # ros2launch runs the launch file
 

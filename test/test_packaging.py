@@ -215,3 +215,13 @@ def test_wheel_runs_where_it_is_unpacked(dist: Path, tmp_path: Path) -> None:
         places, _, output = done.stdout.partition("\n")
         assert places == f"{site}/stereo_depth_ros/cli/main.py {bag}"
         assert answer in output
+
+
+def test_every_source_file_states_copyright_and_license() -> None:
+    skipped = [path for pattern in NOT_SOURCE for path in ROOT.glob(pattern)]
+    sources = [path for path in ROOT.rglob("*.py") if not any(path.is_relative_to(folder) for folder in skipped)]
+    assert len(sources) > 300
+    for path in (*sources, ROOT / "Makefile", ROOT / ".ci" / "run"):
+        head = path.read_text("utf-8")[:300]
+        assert "SPDX-FileCopyrightText: The stereo_depth_ros authors\n" in head, path
+        assert "SPDX-License-Identifier: Apache-2.0\n" in head, path
