@@ -46,9 +46,9 @@ def test_inputs_follow_the_publishers(camera_first: bool) -> None:
             graph.advertise(topic, kind)
         if camera_first:
             graph.listen("disparity", DisparityImage)
-        for topic in topics:
-            expected = [("RELIABLE", "VOLATILE")]
-            graph.wait(lambda t=topic, e=expected: input_qos(graph, t) == e, f"reliable subscription of {topic}")
+        for topic, kind in topics.items():
+            expected = [("RELIABLE" if kind is Image else "BEST_EFFORT", "VOLATILE")]
+            graph.wait(lambda t=topic, e=expected: input_qos(graph, t) == e, f"subscription of {topic}: {expected}")
         graph.withdraw(LEFT)
         graph.advertise(LEFT, Image, reliable=False)
         expected = [("BEST_EFFORT", "VOLATILE")]

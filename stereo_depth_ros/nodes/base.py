@@ -112,11 +112,11 @@ class StereoNode(Node):  # type: ignore[misc]
         msgtype = self.interface.inputs[topic]
         if msgtype == _IMAGE and self.parameters.get(PairingConfig).image_transport == "compressed":
             topic, msgtype = f"{topic}/compressed", _COMPRESSED
-        depth, latched = self.parameters.get(PairingConfig).queue_size, msgtype == _INFO
+        depth, repeated = self.parameters.get(PairingConfig).queue_size, msgtype == _INFO
         message_type = message_class(msgtype)
         self._inputs.append(
             Input(
-                *(self, self.diagnostics, message_type, topic, callback, wanted, depth, latched),
+                *(self, self.diagnostics, message_type, topic, callback, wanted, depth, repeated),
                 on_change=self._start_following,
             )
         )

@@ -32,7 +32,9 @@ class Input:
     """A subscription that follows the demand of its node and the publishers of its topic.
 
     It is reliable where every publisher is, so that nothing is lost, and best effort where one is not, because a
-    reliable subscription receives nothing from it; in the same way transient local, for topics that may be latched.
+    reliable subscription receives nothing from it. A topic of repeated messages, a camera info, is best effort, and
+    reliable and transient local where every publisher latches it: on a reliable subscription the repetitions wait for
+    one that was lost, up to a second where images fill the transport of a driver.
     The parameters qos_overrides.<topic>.subscription.<policy> win.
 
     Args:
@@ -43,7 +45,7 @@ class Input:
         callback: called with every message.
         wanted: whether the node needs this input.
         depth: messages kept until the callback takes them.
-        latched: whether a message published before the subscription is of use.
+        repeated: whether the messages repeat one content, which may be latched instead.
         on_change: called when a publisher appears or goes away, some time before the graph shows it.
 
     Attributes:
@@ -59,7 +61,7 @@ class Input:
         callback: Callable[[Any], None],
         wanted: Callable[[], bool],
         depth: int,
-        latched: bool,
+        repeated: bool,
         on_change: Callable[[], None],
     ) -> None:
         self.topic = topic
@@ -70,7 +72,7 @@ class Input:
         self._message_type = message_type
         self._callback = callback
         self._depth = depth
-        self._latched = latched
+        self._repeated = repeated
         self._on_change = on_change
         self._subscription: Subscription | None = None
         self._offer = (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)  # of the subscription
@@ -78,7 +80,8 @@ class Input:
         self._sent_at: deque[int] = deque(maxlen=2 * depth)  # of the last messages, by the clock of their publisher
         self._may_repeat = 0  # messages that both subscriptions may have received, at most
         lost = f"lost {topic}"
-        diagnostics.watch_loss(lost, lambda: diagnostics.counters[lost], self._cause_of_loss)
+        if not repeated:
+            diagnostics.watch_loss(lost, lambda: diagnostics.counters[lost], self._cause_of_loss)
 
     @property
     def resolved_topic(self) -> str:
@@ -140,7 +143,8 @@ class Input:
         if not profiles:
             return self._offer
         reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
-        latched = self._latched and all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+        latched = self._repeated and all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+        reliable = reliable and (latched or not self._repeated)
         return (
             ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
             DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
