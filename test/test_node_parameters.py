@@ -43,8 +43,8 @@ MATCHER = {
     "disp12_max_diff": (INT, 0, 0, 128, 1),
     "sgbm_mode": (INT, 0, 0, 3, 1),
     "uniqueness_ratio": (DOUBLE, 15.0, 0.0, 100.0, 0.0),
-    "P1": (DOUBLE, 0.0, 0.0, 4000.0, 0.0),
-    "P2": (DOUBLE, 0.0, 0.0, 4000.0, 0.0),
+    "P1": (DOUBLE, 200.0, 0.0, 4000.0, 0.0),
+    "P2": (DOUBLE, 400.0, 0.0, 4000.0, 0.0),
 }
 BOTH = {
     "queue_size": (INT, 5),
