@@ -37,9 +37,9 @@ class SemiGlobalBlockMatcher(SerialMatcher):
     """``cv2.StereoSGBM`` (Hirschmueller 2008, with block costs of Birchfield and Tomasi 1998).
 
     It processes the whole image in one thread, as paths cross all rows. Fractions of ``uniqueness_ratio``, ``P1`` and
-    ``P2`` are cut off, see :func:`penalties`; ``disp12_max_diff`` 0 means 1 px, as in OpenCV. OpenCV does not report why
-    it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle filter of this package
-    gives the result of OpenCV and the reason SPECKLE.
+    ``P2`` are cut off, see :func:`penalties`; ``disp12_max_diff`` 0 means 1 px, as in OpenCV. OpenCV does not report
+    why it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle filter of this
+    package gives the result of OpenCV and the reason SPECKLE.
 
     ``support_px`` is the window; the Sobel prefilter and the interpolation of the pixel costs read a little more.
     """
