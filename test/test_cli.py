@@ -70,7 +70,8 @@ def test_process_takes_its_sections_of_the_file_of_a_robot(run: Run, bag: Path, 
     driver = "driver:\n  ros__parameters: {exposure: 5}\n"
     params.write_text(
         f"{driver}/**:\n  ros__parameters: {{interpolation: 1}}\n"
-        "disparity_node:\n  ros__parameters: {disparity_range: 48}\nfront:\n  depth_node:\n    ros__parameters: {a: 1}\n"
+        "disparity_node:\n  ros__parameters: {disparity_range: 48}\n"
+        "front:\n  depth_node:\n    ros__parameters: {a: 1}\n"
     )
     code, _, err = run("process", bag, "-o", output, "--params-file", params, "--duration", "0.05")
     assert (code, err.count("\n")) == (0, 1)

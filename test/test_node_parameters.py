@@ -322,8 +322,8 @@ def test_parameters_of_the_replaced_nodes_are_accepted_and_named_in_one_line(nod
 
 
 def test_parameters_of_other_nodes_near_a_parameter_are_still_refused() -> None:
-    with pytest.raises(ConfigError, match="unknown parameter 'use_colour': did you mean 'use_color'"):
-        Graph(PointCloudNode, parameters={"interpolation": 1, "use_colour": True})
+    with pytest.raises(ConfigError, match="unknown parameter 'use_colr': did you mean 'use_color'"):
+        Graph(PointCloudNode, parameters={"interpolation": 1, "use_colr": True})
 
 
 def test_whole_number_at_start_is_a_double() -> None:

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.graph
 
 FILES = [
     "stereo_depth_node: {ros__parameters: {a: 1}}\n/**: {ros__parameters: {a: 2, b: 3}}\n",  # the later section counts
-    "/**: {ros__parameters: {a: 1}}\nstereo_depth_node: {ros__parameters: {a: 2}}\n/**: {ros__parameters: {a: 3, b: 4}}\n",
+    "/**: {ros__parameters: {a: 1}}\nstereo_depth_node: {ros__parameters: {a: 2}}\n/**: {ros__parameters: {a: 3}}\n",
     "/stereo_depth_node: {ros__parameters: {a: 1}}\nstereo_depth_node: {ros__parameters: {a: 2}}\n",
     "/*: {ros__parameters: {a: 1}}\n/*/stereo_depth_node: {ros__parameters: {a: 2}}\n",
     "/**/stereo_depth_node: {ros__parameters: {a: 1}}\n/**/*: {ros__parameters: {b: 1}}\n",

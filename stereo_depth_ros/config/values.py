@@ -22,7 +22,7 @@ from stereo_depth_ros.config.other_parameters import is_ros_parameter, is_withou
 from stereo_depth_ros.config.ros_yaml import node_parameters, parse_value
 from stereo_depth_ros.core.errors import ConfigError
 
-__all__ = ["PIPELINE_NODES", "Value", "parse_assignments", "pipeline_config", "read_params_file"]
+__all__ = ["PIPELINE_NODES", "Value", "check_texts", "parse_assignments", "pipeline_config", "read_params_file"]
 
 Value: TypeAlias = bool | int | float | str
 
@@ -59,6 +59,19 @@ def parse_assignments(assignments: Iterable[str], matcher: str | None = None) ->
         values[name] = parse_value(name, value)
     infos = _infos()
     return {name: _info(name, infos).check(value) for name, value in values.items()}
+
+
+def check_texts(texts: Mapping[str, str]) -> dict[str, Value]:
+    """Checked values of parameters that are given as text, such as arguments of a launch file.
+
+    Raises:
+        ConfigError: an unknown name or an invalid value.
+    """
+    infos = {name: _info(name, _infos()) for name in texts}
+    return {
+        name: info.check(texts[name] if info.type is str else parse_value(name, texts[name]))
+        for name, info in infos.items()
+    }
 
 
 def read_params_file(path: Path, nodes: Sequence[str] = PIPELINE_NODES) -> dict[str, Value]:

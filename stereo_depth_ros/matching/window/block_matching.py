@@ -38,11 +38,10 @@ class BlockMatcher(SerialMatcher):
     of absolute differences; texture test; uniqueness test; sub-pixel fit; with ``disp12_max_diff`` above 0 the
     left-right check of OpenCV; speckle filter.
 
-    As in OpenCV, ``uniqueness_ratio`` is a whole percentage, fractions are cut off, and ``speckle_range`` counts steps of
-    1/16 px.
-    Pixels whose window or search leaves an image are BORDER. OpenCV differs for a negative ``min_disparity`` in the
-    last half window of columns, which it fills from windows clamped in the right image only, and in the left-right
-    check, where it includes such clamped windows at the left edge.
+    As in OpenCV, ``uniqueness_ratio`` is a whole percentage, fractions are cut off, and ``speckle_range`` counts steps
+    of 1/16 px. Pixels whose window or search leaves an image are BORDER. OpenCV differs for a negative
+    ``min_disparity`` in the last half window of columns, which it fills from windows clamped in the right image only,
+    and in the left-right check, where it includes such clamped windows at the left edge.
 
     ``support_px`` is the window; the Sobel prefilter reads one more pixel on all sides.
     """
