@@ -57,7 +57,7 @@ ParamsFile = Annotated[
     typer.Option(
         "--params-file",
         metavar="FILE",
-        help="Take parameters from this ROS file: the sections /**, stereo_depth_node, and those of the separate nodes; "
+        help="Take parameters from this ROS file, sections /**, stereo_depth_node and those of the separate nodes; "
         "--param and --matcher take precedence.",
     ),
 ]
