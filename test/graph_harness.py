@@ -97,7 +97,7 @@ class Graph:
 
     Args:
         node_types: classes of the nodes.
-        parameters, remaps: of all of them.
+        parameters, remaps, files: of all of them; files are parameter files.
     """
 
     def __init__(
@@ -105,9 +105,10 @@ class Graph:
         *node_types: Callable[[], Any],
         parameters: Mapping[str, Any] | None = None,
         remaps: Mapping[str, str] | None = None,
+        files: Iterable[Path] = (),
     ) -> None:
         os.environ.update(ENVIRONMENT)
-        rclpy.init(args=ros_arguments(parameters, remaps), signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=ros_arguments(parameters, remaps, files), signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor()
         self._node = rclpy.create_node("graph_test", use_global_arguments=False, enable_rosout=False)
         self._publishers: dict[str, Any] = {}
