@@ -97,7 +97,7 @@ class Graph:
 
     Args:
         node_types: classes of the nodes.
-        parameters, remaps: of all of them.
+        parameters, remaps, files: of all of them; files are parameter files.
     """
 
     def __init__(
@@ -105,9 +105,10 @@ class Graph:
         *node_types: Callable[[], Any],
         parameters: Mapping[str, Any] | None = None,
         remaps: Mapping[str, str] | None = None,
+        files: Iterable[Path] = (),
     ) -> None:
         os.environ.update(ENVIRONMENT)
-        rclpy.init(args=ros_arguments(parameters, remaps), signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=ros_arguments(parameters, remaps, files), signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor()
         self._node = rclpy.create_node("graph_test", use_global_arguments=False, enable_rosout=False)
         self._publishers: dict[str, Any] = {}
@@ -164,10 +165,10 @@ class Graph:
         """Unsubscribes."""
         self._node.destroy_subscription(self._subscriptions.pop(topic))
 
-    def advertise(self, topic: str, kind: Any, reliable: bool = True) -> Any:
+    def advertise(self, topic: str, kind: Any, reliable: bool = True, qos: QoSProfile | None = None) -> Any:
         """A publisher of the test node; the same one for the same topic."""
         if topic not in self._publishers:
-            self._publishers[topic] = self._node.create_publisher(kind, topic, _qos(10, reliable))
+            self._publishers[topic] = self._node.create_publisher(kind, topic, qos or _qos(10, reliable))
         return self._publishers[topic]
 
     def withdraw(self, topic: str) -> None:
@@ -191,6 +192,10 @@ class Graph:
     def publishers(self, topic: str) -> list[Any]:
         """Endpoint infos of the publishers of a topic."""
         return list(self._node.get_publishers_info_by_topic(topic))
+
+    def subscribers(self, topic: str) -> list[Any]:
+        """Endpoint infos of the subscriptions of a topic."""
+        return list(self._node.get_subscriptions_info_by_topic(topic))
 
     def errors(self, pattern: str) -> list[str]:
         """Logged errors that match."""

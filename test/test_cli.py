@@ -65,6 +65,28 @@ def test_process_takes_matcher_and_parameter_file(run: Run, bag: Path, tmp_path:
     assert message.max_disparity - message.min_disparity == pytest.approx(47, abs=1e-4), "--param wins over the file"
 
 
+def test_process_takes_its_sections_of_the_file_of_a_robot(run: Run, bag: Path, tmp_path: Path) -> None:
+    params, output = tmp_path / "robot.yaml", tmp_path / "out.mcap"
+    driver = "driver:\n  ros__parameters: {exposure: 5}\n"
+    params.write_text(
+        f"{driver}/**:\n  ros__parameters: {{interpolation: 1}}\n"
+        "disparity_node:\n  ros__parameters: {disparity_range: 48}\n"
+        "front:\n  depth_node:\n    ros__parameters: {a: 1}\n"
+    )
+    code, _, err = run("process", bag, "-o", output, "--params-file", params, "--duration", "0.05")
+    assert (code, err.count("\n")) == (0, 1)
+    assert "robot.yaml: parameters without effect: interpolation (rectification is bilinear)" in err
+    with BagReader(output) as reader:
+        message = reader.deserialize(next(reader.messages(["/disparity"])))
+    assert message.max_disparity - message.min_disparity == pytest.approx(47, abs=1e-4)
+    params.write_text(driver)
+    code, _, err = run("process", bag, "-o", output, "--params-file", params, "--duration", "0.05", "--overwrite")
+    assert code == 0
+    assert (
+        "robot.yaml: nothing for rectify_node, disparity_node, point_cloud_node, depth_node, stereo_depth_node" in err
+    )
+
+
 def test_process_of_pairs_that_are_all_refused_is_one_line(run: Run, bag: Path, tmp_path: Path) -> None:
     code, out, err = run(
         "process", bag, "-o", tmp_path / "o.mcap", "--matcher", "bm", "--param", "disparity_range:=256"

@@ -35,12 +35,10 @@ CONTRACT = {
     "P1": (200.0, 0.0, 4000.0, None),
     "P2": (400.0, 0.0, 4000.0, None),
 }
-# Differences of this package: more methods, another default, smaller windows, penalties from the window area.
+# Differences of this package: more methods, another default, smaller windows.
 WIDER = {
     "stereo_algorithm": (2, 0, len(MATCHERS) - 1, None),
     "correlation_window_size": (15, 1, 255, 2),
-    "P1": (0.0, 0.0, 4000.0, None),
-    "P2": (0.0, 0.0, 4000.0, None),
 }
 
 

@@ -62,9 +62,54 @@ def test_sections_of_several_nodes_are_merged(tmp_path: Path) -> None:
     assert read_params_file(path) == {"disparity_range": 96, "use_color": False}
 
 
+ROBOT = """
+camera_driver:
+  ros__parameters: {exposure: 5, rates: [1.0, 2.0]}
+arm:
+  gripper: {ros__parameters: {P1: 7.0}}
+/**:
+  ros__parameters: {use_sim_time: true, min_disparity: 1, disparity_range: 48}
+/front/disparity_node:
+  ros__parameters: {disparity_range: 256}
+disparity_node:
+  ros__parameters:
+    disparity_range: 96
+    qos_overrides: {/disparity: {publisher: {depth: 1, reliability: reliable}}}
+/**/point_cloud_node: {ros__parameters: {use_color: false}}
+/*: {ros__parameters: {min_disparity: 2}}
+"""
+
+
+def test_sections_of_other_nodes_are_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(ROBOT)
+    assert read_params_file(path) == {"min_disparity": 2, "disparity_range": 96, "use_color": False}
+    assert read_params_file(path, ["depth_node"]) == {"min_disparity": 2, "disparity_range": 48}
+    path.write_text("camera_driver:\n  ros__parameters: {exposure: 5}\n")
+    assert read_params_file(path) == {}
+
+
+def test_parameters_of_the_nodes_of_stereo_image_proc_are_accepted(tmp_path: Path) -> None:
+    path = tmp_path / "dump.yaml"
+    path.write_text(
+        "/**:\n  ros__parameters:\n    P1: 200.0\n    approximate_sync: true\n    debayer: 3\n    interpolation: 1\n"
+        "    left: {image_rect: {compressed: {format: jpeg, tiff: {xdpi: -1}}, enable_pub_plugins: [a, b]}}\n"
+        "    qos_overrides: {/parameter_events: {publisher: {depth: 1000, history: keep_last}}}\n"
+        "    start_type_description_service: true\n    use_system_default_qos: false\n    queue_size: 5\n"
+    )
+    assert read_params_file(path) == {"P1": 200.0, "approximate_sync": True, "queue_size": 5}
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("/**:\n  ros__parameters: {interpolatoin: 1}\n", "unknown parameter 'interpolatoin'"),
+        ("/**:\n  ros__parameters: {left: {image_rect: {gain: 1}}}\n", "unknown parameter 'left.image_rect.gain'"),
+        ("/**:\n  ros__parameters: {P1: }\n", "parameter P1 has no value: write a value"),
+        ("ns:\n  /node: {ros__parameters: {P1: 1.0}}\n", "section '/ns//node' is not the name of a node"),
+        ("depth_*: {ros__parameters: {P1: 1.0}}\n", r"section '/depth_\*' is not the name of a node"),
+        ("/**: {ros__parameters: }\n", "is not a parameter file: write node names"),
+        ("", "is not a parameter file: write node names"),
         ("disparity_range: 64\n", "is not a parameter file: write node names"),
         ("/**: [", r"is not a parameter file \(while parsing"),
         ("/**:\n  ros__parameters: {speckle: 3}\n", "unknown parameter 'speckle': did you mean 'speckle_size'"),

@@ -15,12 +15,13 @@ import pytest
 import setuptools
 
 from stereo_depth_ros.config import CalibrationMonitorConfig, MatchingConfig, PipelineConfig, parameter_infos
+from stereo_depth_ros.core.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[1]
 
 LAUNCH_NAMES = {
     "launch": ["LaunchDescription"],
-    "launch.actions": ["DeclareLaunchArgument", "GroupAction", "LogInfo"],
+    "launch.actions": ["DeclareLaunchArgument", "GroupAction", "LogInfo", "OpaqueFunction"],
     "launch.conditions": ["IfCondition", "UnlessCondition"],
     "launch.substitutions": ["LaunchConfiguration", "PythonExpression"],
     "launch_ros": [],
@@ -45,19 +46,29 @@ def recorders() -> dict[str, types.ModuleType]:
     return modules
 
 
-@pytest.fixture
-def entities(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """All actions of the launch description, those of groups included."""
+def launched(monkeypatch: pytest.MonkeyPatch, **arguments: str) -> list[Any]:
+    """All actions with these arguments, those of groups and functions included, in the order of launch."""
     for name, module in recorders().items():
         monkeypatch.setitem(sys.modules, name, module)
     description = runpy.run_path(str(ROOT / "launch" / "stereo_depth.launch.py"))["generate_launch_description"]()
+    context = types.SimpleNamespace(launch_configurations=dict(arguments))
     pending, found = list(description.args[0]), []
     while pending:
         entity = pending.pop(0)
         found.append(entity)
-        if type(entity).__name__ == "GroupAction":
+        if type(entity).__name__ == "DeclareLaunchArgument":
+            context.launch_configurations.setdefault(entity.args[0], entity.kwargs["default_value"])
+        elif type(entity).__name__ == "OpaqueFunction":
+            pending[:0] = entity.kwargs["function"](context, *entity.kwargs.get("args", ())) or []
+        elif type(entity).__name__ == "GroupAction":
             pending += entity.args[0]
     return found
+
+
+@pytest.fixture
+def entities(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """All actions without arguments."""
+    return launched(monkeypatch)
 
 
 def of_type(entities: list[Any], name: str) -> list[Any]:
@@ -217,3 +228,69 @@ def test_a_container_is_answered_with_a_word(entities: list[Any]) -> None:
     text = "".join(part if isinstance(part, str) else part.args[0] for part in parts)
     assert text == "'container' != ''"
     assert "is not used" in info.kwargs["msg"][-1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"disparity_range": "abc"}, "parameter disparity_range = 'abc' has type str, expected int: write it as int"),
+        ({"disparity_range": "70"}, "disparity_range = 70 is not 32 plus a multiple of 16: use 64 or 80"),
+        ({"use_color": "maybe"}, "parameter use_color = 'maybe' has type str, expected bool"),
+        ({"row_error_limit": "[1"}, r"parameter row_error_limit: '\[1' is not a value"),
+        ({"stereo_algorithm": "1", "P1": "500.0"}, "P2 = 400 is not above P1 = 500"),
+        ({"health": "maybe"}, "argument health = 'maybe' is not one of true, false, 1, 0: use one of them"),
+        ({"log_level": "loud"}, "argument log_level = 'loud' is not one of debug, info"),
+        ({"params_file": "/none.yaml"}, "/none.yaml: is not a parameter file"),
+    ],
+)
+def test_wrong_arguments_are_named_before_a_node_starts(
+    monkeypatch: pytest.MonkeyPatch, arguments: dict[str, str], message: str
+) -> None:
+    """The error leaves the function that makes the nodes, so that launch has none to start."""
+    with pytest.raises(ConfigError, match=message):
+        launched(monkeypatch, **arguments)
+
+
+def test_values_of_all_types_are_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = {"disparity_range": "128", "P1": "8", "use_color": "False", "depth_encoding": "16UC1", "fused": "True"}
+    assert nodes_of(launched(monkeypatch, **arguments))
+
+
+FILE = """
+/**: {ros__parameters: {use_sim_time: true, disparity_range: 96, min_disparity: 3, interpolation: 1}}
+camera_driver: {ros__parameters: {exposure: 5}}
+/head/disparity_node:
+  ros__parameters: {disparity_range: 128, qos_overrides: {/x: {publisher: {depth: 1}}}, image_transport: compressed}
+head: {rectify_node: {ros__parameters: {queue_size: 9, image_transport: compressed}}}
+"""
+
+
+def test_nodes_take_their_sections_of_the_file_under_the_arguments(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(FILE)
+
+    def values(executable: str, **arguments: str) -> dict[str, Any]:
+        """The values that are not those of the arguments."""
+        found = nodes_of(launched(monkeypatch, params_file=str(path), namespace="/head", **arguments))
+        (parameters,) = found[executable].kwargs["parameters"]
+        items = {name: value.args[0] for name, value in parameters.items()}
+        return {name: item for name, item in items.items() if not isinstance(item, Recorder)}
+
+    qos = {"qos_overrides./x.publisher.depth": 1}
+    search = {"use_sim_time": True, "disparity_range": 128, "min_disparity": 3, **qos}
+    assert values("disparity_node") == search
+    assert values("disparity_node", launch_image_proc="false") == {**search, "image_transport": "compressed"}
+    assert values("disparity_node", disparity_range="64", use_sim_time="false") == {"min_disparity": 3, **qos}
+    assert values("rectify_node") == {"use_sim_time": True, "queue_size": 9, "image_transport": "compressed"}
+    assert values("stereo_depth_node") == {**search, "queue_size": 9, "image_transport": "compressed"}
+    assert values("point_cloud_node") == {"use_sim_time": True}
+
+
+def test_simulated_time_and_log_level_reach_every_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    for node in nodes_of(launched(monkeypatch, use_sim_time="True")).values():
+        (parameters,) = node.kwargs["parameters"]
+        assert parameters["use_sim_time"].args[0] is True
+        option, level = node.kwargs["ros_arguments"]
+        assert (option, configuration_name(level)) == ("--log-level", "log_level")

@@ -54,8 +54,8 @@ def opencv_sgbm(config: MatchingConfig) -> cv2.StereoSGBM:
         config.min_disparity,
         config.num_disparities,
         config.correlation_window_size,
-        int(config.P1) or 8 * config.correlation_window_size**2,
-        int(config.P2) or 32 * config.correlation_window_size**2,
+        int(config.P1),
+        int(config.P2),
         config.disp12_max_diff,
         config.prefilter_cap,
         int(config.uniqueness_ratio),
@@ -212,14 +212,14 @@ def test_sgbm_equals_opencv(mode: int, min_disparity: int) -> None:
     [
         ({"correlation_window_size": 5}, (200, 800)),
         ({"correlation_window_size": 15}, (1800, 7200)),
-        ({"correlation_window_size": 5, "P1": 31.4}, (31, 800)),
+        ({"correlation_window_size": 5, "P1": 31.9}, (31, 800)),
         ({"correlation_window_size": 3, "P1": 300.0}, (300, 301)),
         ({"correlation_window_size": 5, "P2": 90.0}, (45, 90)),
         ({"correlation_window_size": 21}, (2602, 5205)),  # 32767 - 441 * 125 / 2, what is left in 16 bits
     ],
 )
-def test_default_penalties_follow_the_window(fields: dict[str, Any], expected: tuple[int, int]) -> None:
-    config = MatchingConfig(stereo_algorithm=1, **fields)
+def test_automatic_penalties_follow_the_window(fields: dict[str, Any], expected: tuple[int, int]) -> None:
+    config = MatchingConfig(stereo_algorithm=1, **{"P1": 0.0, "P2": 0.0, **fields})
     assert penalties(config) == expected
     left, right = textured_pair(90, 160, 0, 24)
     found, as_set = (
@@ -228,6 +228,28 @@ def test_default_penalties_follow_the_window(fields: dict[str, Any], expected: t
     )
     if expected[1] <= 4000:  # as far as a parameter goes
         np.testing.assert_array_equal(found, as_set)
+
+
+def test_penalties_that_are_not_set_are_those_of_stereo_image_proc() -> None:
+    left, right = textured_pair(90, 160, 0, 24)
+    found = create_matcher("sgbm", num_disparities=32).match(left, right).disparity_px
+    sgbm = cv2.StereoSGBM.create(0, 32, 15, 200, 400, 0, 31, 15, 100, 4, cv2.STEREO_SGBM_MODE_SGBM)
+    np.testing.assert_array_equal(found, in_pixels(sgbm.compute(left, right), MatchingConfig()))
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_fractions_are_cut_off(name: str) -> None:
+    left, right = textured_pair(90, 160, 0, 24)
+    found, whole, next_whole = (
+        create_matcher(name, num_disparities=32, speckle_size=0, **fields).match(left, right).disparity_px
+        for fields in (
+            {"uniqueness_ratio": 40.9, "P1": 90.9, "P2": 140.9},
+            {"uniqueness_ratio": 40.0, "P1": 90.0, "P2": 140.0},
+            {"uniqueness_ratio": 41.0, "P1": 91.0, "P2": 141.0},
+        )
+    )
+    np.testing.assert_array_equal(found, whole)
+    assert not np.array_equal(whole, next_whole, equal_nan=True)
 
 
 @pytest.mark.parametrize("name", DENSE)
@@ -296,8 +318,9 @@ def test_refused_parameters() -> None:
         create_matcher("bm", num_disparity=64)
     with pytest.raises(ConfigError, match="P2 = 100 is not above P1 = 200"):
         create_matcher("sgbm", P1=200, P2=100)
-    with pytest.raises(ConfigError, match=r"uniqueness_ratio = 99\.6 divides by zero in sgbm_mode 2: use 99"):
-        create_matcher("sgbm", uniqueness_ratio=99.6, sgbm_mode=2)
+    with pytest.raises(ConfigError, match=r"uniqueness_ratio = 100 divides by zero in sgbm_mode 2: use 99"):
+        create_matcher("sgbm", uniqueness_ratio=100.0, sgbm_mode=2)
+    create_matcher("sgbm", uniqueness_ratio=99.6, sgbm_mode=2)
 
 
 @pytest.mark.parametrize("name", FIXED)

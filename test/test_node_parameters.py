@@ -15,6 +15,7 @@ import pytest
 from graph_harness import NS_PER_S, Graph, NodeProcess, StereoCamera, image_pixels, parameter_value, ros_arguments
 from rcl_interfaces.msg import Parameter, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.config.matchers import MATCHERS, matcher_number
@@ -43,8 +44,8 @@ MATCHER = {
     "disp12_max_diff": (INT, 0, 0, 128, 1),
     "sgbm_mode": (INT, 0, 0, 3, 1),
     "uniqueness_ratio": (DOUBLE, 15.0, 0.0, 100.0, 0.0),
-    "P1": (DOUBLE, 0.0, 0.0, 4000.0, 0.0),
-    "P2": (DOUBLE, 0.0, 0.0, 4000.0, 0.0),
+    "P1": (DOUBLE, 200.0, 0.0, 4000.0, 0.0),
+    "P2": (DOUBLE, 400.0, 0.0, 4000.0, 0.0),
 }
 BOTH = {
     "queue_size": (INT, 5),
@@ -277,6 +278,53 @@ def test_equal_image_topics_are_refused(node_type: Any, image: str) -> None:
 def test_parameters_of_other_stages_are_accepted() -> None:
     with Graph(DepthNode, parameters={"disparity_range": 128, "use_color": False}) as graph:
         assert not graph.nodes[0].has_parameter("disparity_range")
+
+
+# As `ros2 param dump` writes them of the nodes of stereo_image_proc and image_proc, all in one section
+DUMP = """
+/**:
+  ros__parameters:
+    P1: 100.0
+    P2: 600.0
+    debayer: 3
+    interpolation: 1
+    left:
+      image_rect:
+        compressed: {format: jpeg, jpeg_quality: 95, png_level: 3, tiff: {res_unit: inch, xdpi: -1, ydpi: -1}}
+        compressedDepth: {depth_max: 10.0, depth_quantization: 100.0, format: png, png_level: 9}
+        enable_pub_plugins: [image_transport/compressed, image_transport/raw]
+        theora: {keyframe_frequency: 64, optimize_for: 1, quality: 31, target_bitrate: 800000}
+        zstd: {zstd_level: 3}
+    qos_overrides:
+      /disparity: {publisher: {depth: 1, history: keep_last, reliability: reliable}}
+      /left/image_rect: {subscription: {depth: 5, history: keep_last, reliability: best_effort}}
+      /parameter_events: {publisher: {depth: 1000, durability: volatile, history: keep_last, reliability: reliable}}
+    queue_size: 5
+    start_type_description_service: true
+    use_sim_time: false
+    use_system_default_qos: false
+"""
+
+
+@pytest.mark.parametrize("node_type", [DisparityNode, RectifyNode])
+def test_parameters_of_the_replaced_nodes_are_accepted_and_named_in_one_line(node_type: Any, tmp_path: Path) -> None:
+    path = tmp_path / "dump.yaml"
+    path.write_text(DUMP, encoding="utf-8")
+    lines: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RcutilsLogger, "info", lambda self, text, **_: lines.append(text))
+        with Graph(node_type, files=[path]) as graph:
+            assert not graph.nodes[0].has_parameter("interpolation")
+            assert node_type is RectifyNode or graph.nodes[0].get_parameter("P2").value == 600.0
+    (line,) = [line for line in lines if "without effect" in line]
+    assert "debayer (Bayer images are converted in one way); interpolation (rectification is bilinear)" in line
+    assert "use_system_default_qos (qos_overrides set the QoS)" in line
+    assert "left.image_rect.compressed.tiff.xdpi" in line and "left.image_rect.zstd.zstd_level (no image_t" in line
+
+
+def test_parameters_of_other_nodes_near_a_parameter_are_still_refused() -> None:
+    with pytest.raises(ConfigError, match="unknown parameter 'use_colr': did you mean 'use_color'"):
+        Graph(PointCloudNode, parameters={"interpolation": 1, "use_colr": True})
 
 
 def test_whole_number_at_start_is_a_double() -> None:

@@ -181,6 +181,27 @@ def test_separate_nodes_give_the_bytes_of_the_fused_node(fused: dict[str, Any], 
     assert received["points2"].data == fused["points2"].data
 
 
+@pytest.mark.parametrize("node_types", [(StereoDepthNode,), (DisparityNode, DepthNode, PointCloudNode)])
+def test_camera_infos_with_only_p_are_of_rectified_images(
+    node_types: tuple[Any, ...], fused: dict[str, Any], camera: StereoCamera
+) -> None:
+    messages = camera.infos(STAMP_NS)
+    for info in messages.values():
+        info.distortion_model, info.d = "", []
+        info.k, info.r = np.zeros(9), np.zeros(9)
+    image = "image_raw" if len(node_types) == 1 else "image_rect"
+    messages |= {f"{side}/{image}": fused[f"{side}/image_rect"] for side in ("left", "right")}
+    outputs = {topic: OUTPUTS[topic] for topic in ("points2", "disparity", "depth/image_rect", "depth/camera_info")}
+    with Graph(*node_types, parameters=PARAMETERS | {"use_color": False}) as graph:
+        received = one_pair(graph, messages, outputs)
+    np.testing.assert_array_equal(received["depth/camera_info"].k, fused["depth/camera_info"].k)
+    left = received["depth/image_rect"]
+    both = [np.frombuffer(m.data, np.float32) for m in (left, fused["depth/image_rect"])]
+    valid = np.isfinite(both[0]) & np.isfinite(both[1])
+    assert valid.mean() > 0.5
+    assert np.median(np.abs(both[0] - both[1])[valid]) == 0
+
+
 def test_rectify_node_publishes_both_cameras_in_gray_and_color(camera: StereoCamera) -> None:
     topics = [f"{side}/{image}" for side in ("left", "right") for image in ("image_rect", "image_rect_color")]
     with Graph(RectifyNode) as graph:

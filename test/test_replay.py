@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from stereo_bags import (
@@ -259,6 +260,32 @@ def test_all_nodes_end_with_0_when_they_are_stopped(tmp_path: Path, monkeypatch:
     with GraphProcesses("separate", PARAMETERS, tmp_path) as processes:
         wait_until_ready(processes.numbers, processes.log_lengths, processes.check)
         assert processes.stop() == dict.fromkeys(SHAPES["separate"], 0)
+
+
+def test_nodes_take_their_sections_of_a_file_and_parameters_override_them(tmp_path: Path) -> None:
+    import rclpy
+
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "/**: {ros__parameters: {speckle_size: 20, image_transport: raw}}\n"
+        "stereo_depth_node: {ros__parameters: {disparity_range: 64, speckle_range: 3}}\n"
+        "disparity_node: {ros__parameters: {disparity_range: 96, qos_overrides: {/x: {publisher: {depth: 2}}}}}\n"
+        "camera_driver: {ros__parameters: {exposure: 5}}\n"
+    )
+
+    def overrides(shape: str, node: str) -> dict[str, Any]:
+        arguments = GraphProcesses(shape, {"disparity_range": 48}, tmp_path, path)._command(node)[3:]
+        context = rclpy.Context()
+        rclpy.init(args=arguments, context=context)
+        found = rclpy.create_node(node, context=context, enable_rosout=False)._parameter_overrides
+        context.shutdown()
+        return {name: parameter.value for name, parameter in found.items()}
+
+    qos = {"qos_overrides./x.publisher.depth": 2}
+    fused = {"speckle_size": 20, "image_transport": "raw", "disparity_range": 48, "speckle_range": 3, **qos}
+    assert overrides("fused", "stereo_depth_node") == fused
+    assert overrides("separate", "disparity_node") == {"speckle_size": 20, "disparity_range": 48, **qos}
+    assert overrides("separate", "point_cloud_node") == {"speckle_size": 20, "disparity_range": 48}
 
 
 def test_unknown_shape_is_refused(tmp_path: Path) -> None:

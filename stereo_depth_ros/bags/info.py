@@ -157,7 +157,8 @@ class _Inspection:
         if None in infos:
             return None
         try:
-            rig = StereoRig.from_infos(*infos, topics=(stereo.left_info, stereo.right_info))
+            topics = (stereo.left_info, stereo.right_info)
+            rig = StereoRig.from_infos(*infos, topics=topics, rectified=stereo.rectified)
             for topic, image in ((stereo.left_image, left_image), (stereo.right_image, right_image)):
                 if image is not None:
                     rig.check_image(image.width, image.height, topic)

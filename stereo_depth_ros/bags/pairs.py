@@ -66,6 +66,7 @@ class SerializedPair:
         stamp_ns, right_stamp_ns: header stamps of the two images.
         left, right: images; Image or CompressedImage.
         left_info, right_info: CameraInfo with the stamp of its image.
+        info_topics: topics of the camera infos, for error messages.
     """
 
     stamp_ns: int
@@ -74,6 +75,7 @@ class SerializedPair:
     right: bytes
     left_info: bytes
     right_info: bytes
+    info_topics: tuple[str, str] = ("left", "right")
 
     def shifted(self, shift_ns: int) -> SerializedPair:
         """The same pair with all stamps later by ``shift_ns``."""
@@ -87,6 +89,7 @@ class SerializedPair:
             with_stamp(self.right, right_stamp_ns),
             with_stamp(self.left_info, stamp_ns),
             with_stamp(self.right_info, right_stamp_ns),
+            self.info_topics,
         )
 
     def images(self, types: RosbagsTypes, image_type: str) -> StereoPair:
@@ -117,7 +120,8 @@ class SerializedPair:
             MessageError: a message that is damaged.
             CalibrationError: camera infos that are not those of a rectified rig.
         """
-        return StereoRig.from_infos(*(types.deserialize(info, INFO_TYPE) for info in (self.left_info, self.right_info)))
+        left, right = (types.deserialize(info, INFO_TYPE) for info in (self.left_info, self.right_info))
+        return StereoRig.from_infos(left, right, self.info_topics)
 
 
 class PerCalibration(Generic[T]):
@@ -257,6 +261,7 @@ class BagPairs:
             right,
             with_stamp(left_info, stamp_ns),
             with_stamp(right_info, right_stamp_ns),
+            self._info_topics,
         )
 
 

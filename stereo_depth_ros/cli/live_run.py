@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from stereo_depth_ros.cli.output import prepare_kernels, progress_bar
-from stereo_depth_ros.config.values import Value, pipeline_config, read_params_file
+from stereo_depth_ros.cli.params_file import read_parameters
+from stereo_depth_ros.config.values import PIPELINE_NODES, Value, pipeline_config
 from stereo_depth_ros.offline.report import RunReport
-from stereo_depth_ros.replay.graph_processes import require_ros
+from stereo_depth_ros.replay.graph_processes import SHAPES, require_ros
 from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["run_live"]
@@ -30,7 +31,9 @@ def run_live(
     require_ros()
     from stereo_depth_ros.nodes.live_replay import replay_through_graph
 
-    config = pipeline_config({**(read_params_file(params_file) if params_file else {}), **values})
+    config = pipeline_config(
+        {**read_parameters(params_file, PIPELINE_NODES if shape == "fused" else SHAPES[shape]), **values}
+    )
     prepare_kernels(config.matching)
     with progress_bar(f"playing, {shape}") as progress:
         return replay_through_graph(options, shape, values, config, progress, params_file, monitor)

@@ -57,7 +57,8 @@ ParamsFile = Annotated[
     typer.Option(
         "--params-file",
         metavar="FILE",
-        help="Take parameters from this ROS file; --param and --matcher take precedence.",
+        help="Take parameters from this ROS file, sections /**, stereo_depth_node and those of the separate nodes; "
+        "--param and --matcher take precedence.",
     ),
 ]
 Separate = Annotated[

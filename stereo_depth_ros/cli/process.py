@@ -22,8 +22,9 @@ from stereo_depth_ros.cli.options import (
     new_app,
 )
 from stereo_depth_ros.cli.output import parameter_files, prepare_kernels, progress_bar
+from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.run_report import finish_run
-from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.config.values import parse_assignments, pipeline_config
 from stereo_depth_ros.offline.engine import process_bag
 
 __all__ = ["app"]
@@ -54,7 +55,7 @@ def process(
       stereo-depth process drive.mcap -o depth.mcap
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
     """
-    values = {**(read_params_file(params_file) if params_file else {}), **parse_assignments(param or (), matcher)}
+    values = {**read_parameters(params_file), **parse_assignments(param or (), matcher)}
     check_bag_output(
         output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
     )

@@ -14,10 +14,11 @@ import typer
 
 from stereo_depth_ros.cli.options import Json, Left, Overwrite, Params, ParamsFile, Right, new_app
 from stereo_depth_ros.cli.output import parameter_files, show, warn
+from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.rig_tables import rig_tables
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.matchers import MATCHERS
-from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.config.values import parse_assignments, pipeline_config
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
@@ -87,7 +88,7 @@ def rig(
       stereo-depth rig calibration --nearest 0.4 --max-error 2 --plot error.png
       stereo-depth rig drive.mcap --param disparity_range:=128 --param disparity_sigma_px:=0.1 --json - | jq .limits
     """
-    values = {**(read_params_file(params_file) if params_file else {}), **parse_assignments(param or (), matcher)}
+    values = {**read_parameters(params_file), **parse_assignments(param or (), matcher)}
     inputs = [*rig_files(paths), *parameter_files(params_file, values)]
     check_outputs([plot] if plot is not None else [], inputs, reports=[json_file], overwrite=overwrite)
     rig = read_rig(paths, left, right)

@@ -49,7 +49,7 @@ _LINES = (
     MatcherInfo(
         "sgbm",
         "sgm.semi_global_block_matching:SemiGlobalBlockMatcher",
-        "OpenCV's semi-global block matching, all four modes; P1 and P2 default to multiples of the window area.",
+        "OpenCV's semi-global block matching, all four modes; P1 and P2 can follow the window area.",
         (*_SEARCH, *_CHECKS, _WINDOW, "prefilter_cap", "sgbm_mode", "P1", "P2"),
         _SECOND_COST,
     ),

@@ -87,10 +87,10 @@ class SgbmConfig(Checked):
         0, "Path directions: 0 five (SGBM), 1 eight (HH), 2 three (3WAY), 3 four (HH4).", low=0, high=3
     )
     P1: float = parameter(
-        0.0, "Penalty on disparity changes of 1 px; 0 means 8 times the window area.", low=0.0, high=4000.0
+        200.0, "Penalty on disparity changes of 1 px; 0 means 8 times the window area.", low=0.0, high=4000.0
     )
     P2: float = parameter(
-        0.0,
+        400.0,
         "Penalty on larger disparity changes, above P1; 0 means 32 times the window area.",
         low=0.0,
         high=4000.0,

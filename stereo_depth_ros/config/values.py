@@ -5,12 +5,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
-
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from stereo_depth_ros.config import (
     CONFIGS,
@@ -21,13 +18,16 @@ from stereo_depth_ros.config import (
     unknown_parameter,
 )
 from stereo_depth_ros.config.matchers import MATCHERS, matcher_number
+from stereo_depth_ros.config.other_parameters import is_ros_parameter, is_without_effect
+from stereo_depth_ros.config.ros_yaml import node_parameters, parse_value
 from stereo_depth_ros.core.errors import ConfigError
 
-__all__ = ["Value", "parse_assignments", "pipeline_config", "read_params_file"]
+__all__ = ["PIPELINE_NODES", "Value", "check_texts", "parse_assignments", "pipeline_config", "read_params_file"]
 
 Value: TypeAlias = bool | int | float | str
 
-_OTHERS = ("use_sim_time", "qos_overrides")  # of the nodes, not of the pipeline
+# The nodes whose work the pipeline does: processing offline, and the fused node of a replay, take their sections
+PIPELINE_NODES = ("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node")
 
 
 def parse_assignments(assignments: Iterable[str], matcher: str | None = None) -> dict[str, Value]:
@@ -56,47 +56,38 @@ def parse_assignments(assignments: Iterable[str], matcher: str | None = None) ->
                 limit="name:=value",
                 remedy="for example disparity_range:=128",
             )
-        try:
-            values[name] = _load(value)
-        except YAMLError as error:
-            raise ConfigError(
-                f"{value!r} is not a value ({error})",
-                subject=f"parameter {name}",
-                value=value,
-                limit="number, word or bool",
-                remedy="write a number, word or bool",
-                settings=(name,),
-            ) from error
+        values[name] = parse_value(name, value)
     infos = _infos()
     return {name: _info(name, infos).check(value) for name, value in values.items()}
 
 
-def read_params_file(path: Path) -> dict[str, Value]:
-    """Checked values of all nodes of a ROS parameter file.
+def check_texts(texts: Mapping[str, str]) -> dict[str, Value]:
+    """Checked values of parameters that are given as text, such as arguments of a launch file.
+
+    Raises:
+        ConfigError: an unknown name or an invalid value.
+    """
+    infos = {name: _info(name, _infos()) for name in texts}
+    return {
+        name: info.check(texts[name] if info.type is str else parse_value(name, texts[name]))
+        for name, info in infos.items()
+    }
+
+
+def read_params_file(path: Path, nodes: Sequence[str] = PIPELINE_NODES) -> dict[str, Value]:
+    """Checked values that nodes of the root namespace take from a ROS parameter file, see :func:`node_parameters`.
+
+    Parameters of ROS, and those of stereo_image_proc that have no effect here, are left out.
 
     Raises:
         ConfigError: the file cannot be read, is not a parameter file, or has an unknown name or an invalid value.
     """
-    try:
-        content = _load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        raise ConfigError(
-            f"is not a parameter file ({error})", subject=str(path), remedy="name a YAML file of ROS parameters"
-        ) from error
-    sections = [*content.values()] if isinstance(content, Mapping) else [None]
     infos = _infos()
-    values: dict[str, Value] = {}
-    for section in sections:
-        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
-            raise ConfigError(
-                "is not a parameter file",
-                subject=str(path),
-                remedy="write node names (or /**), then ros__parameters below them",
-            )
-        for name, value in section["ros__parameters"].items():
-            if not str(name).startswith(_OTHERS):
-                values[name] = _checked(str(name), value, infos, path)
-    return values
+    return {
+        name: _checked(name, value, infos, path)
+        for name, value in node_parameters(path, *nodes).items()
+        if not is_ros_parameter(name) and not is_without_effect(name)
+    }
 
 
 def pipeline_config(values: Mapping[str, Value]) -> PipelineConfig:
@@ -112,13 +103,6 @@ def pipeline_config(values: Mapping[str, Value]) -> PipelineConfig:
         given = {name: value for name, value in values.items() if name in names}
         stages[item.name] = replace_checked(stage(), given)
     return PipelineConfig(**stages)
-
-
-def _load(text: str) -> Any:
-    """The value of a YAML text by the rules of YAML 1.1, as in ROS: yes and on are true."""
-    yaml = YAML(typ="safe", pure=True)
-    yaml.version = (1, 1)
-    return yaml.load(text)
 
 
 def _infos() -> dict[str, ParameterInfo]:

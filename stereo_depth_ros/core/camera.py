@@ -4,21 +4,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stereo_depth_ros.core.distortion import COEFFICIENTS, known_distortion
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["CameraModel", "check_intrinsics", "check_rectification", "check_rotation"]
+__all__ = ["CameraModel", "check_calibrated", "check_intrinsics", "check_rectification", "check_rotation"]
 
-_COEFFICIENTS: Mapping[str, tuple[int, ...]] = {
-    "plumb_bob": (0, 4, 5),
-    "rational_polynomial": (8, 12, 14),
-    "equidistant": (4,),
-}
 _K_FORM = ("K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
 _P_FORM = ("P", "[[fx, 0, cx, -fx * baseline], [0, fy, cy, 0], [0, 0, 1, 0]]")
 
@@ -29,7 +24,8 @@ class CameraModel:
 
     Attributes:
         width, height: size of the image in pixels, after region of interest and binning.
-        distortion_model: "plumb_bob", "rational_polynomial" or "equidistant".
+        distortion_model: "plumb_bob", "rational_polynomial" or "equidistant"; other names and counts of coefficients
+            become one of them where they have one meaning, see :func:`known_distortion`.
         K: float64 (3, 3), intrinsics of the raw image, px.
         D: float64 (n,), coefficients of the distortion model; for plumb_bob, empty means no distortion.
         R: float64 (3, 3), rotation from the camera to the rectified camera.
@@ -61,15 +57,40 @@ class CameraModel:
                     remedy="write all of them",
                 )
             object.__setattr__(self, name, values.reshape(3, columns))
-        object.__setattr__(self, "D", np.array(self.D, dtype=np.float64).ravel())
+        model, D = known_distortion(self.distortion_model, np.array(self.D, dtype=np.float64).ravel())
+        object.__setattr__(self, "distortion_model", model)
+        object.__setattr__(self, "D", D)
 
     def rectified(self) -> CameraModel:
         """The camera whose raw images are the rectified images of this one: K from P, no distortion, no rotation."""
         return replace(self, distortion_model="plumb_bob", K=self.P[:, :3], D=np.zeros(5), R=np.identity(3))
 
+    def described(self) -> CameraModel:
+        """The rectified camera where only P is set (K, D and R all zero): then the images are rectified; else this."""
+        return self.rectified() if self.P.any() and not any(part.any() for part in (self.K, self.D, self.R)) else self
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the size is set, and K, P or D."""
+        return bool((self.width or self.height) and (self.K.any() or self.P.any() or self.D.any()))
+
+
+def check_calibrated(camera: CameraModel, label: str) -> None:
+    """Raise CalibrationError with subject ``label`` for the camera info of a camera that was never calibrated."""
+    if not camera.calibrated:
+        matrices = "" if camera.K.any() or camera.P.any() else ", K and P are all zero"
+        raise CalibrationError(
+            f"not calibrated, the size is {camera.width}x{camera.height}{matrices}",
+            subject=label,
+            value=(camera.width, camera.height),
+            limit="a size, K and P",
+            remedy="calibrate both cameras together, and load the calibration in the driver",
+        )
+
 
 def check_intrinsics(camera: CameraModel, label: str) -> None:
     """Raise CalibrationError with subject ``label`` where the size, the distortion model, K or D is not possible."""
+    check_calibrated(camera, label)
     if camera.width < 1 or camera.height < 1:
         raise CalibrationError(
             f"size {camera.width}x{camera.height} is empty",
@@ -78,15 +99,15 @@ def check_intrinsics(camera: CameraModel, label: str) -> None:
             limit=(1, 1),
             remedy="set width and height",
         )
-    if camera.distortion_model not in _COEFFICIENTS:
+    if camera.distortion_model not in COEFFICIENTS:
         raise CalibrationError(
-            f"distortion_model {camera.distortion_model!r} is not one of {', '.join(_COEFFICIENTS)}",
+            f"distortion_model {camera.distortion_model!r} is not one of {', '.join(COEFFICIENTS)}",
             subject=label,
             value=camera.distortion_model,
-            limit=tuple(_COEFFICIENTS),
-            remedy="calibrate with one of them, or set plumb_bob and zeros for an image without distortion",
+            limit=tuple(COEFFICIENTS),
+            remedy=_model_remedy(camera.distortion_model),
         )
-    counts = _COEFFICIENTS[camera.distortion_model]
+    counts = COEFFICIENTS[camera.distortion_model]
     if camera.D.size not in counts:
         raise CalibrationError(
             f"D has {camera.D.size} coefficients, {camera.distortion_model} takes {' or '.join(map(str, counts))}",
@@ -98,6 +119,12 @@ def check_intrinsics(camera: CameraModel, label: str) -> None:
     _check_finite(camera, label, "K", "D")
     _check_set(camera, label, "K")
     _check_form(camera.K, label, *_K_FORM)
+
+
+def _model_remedy(model: str) -> str:
+    if model.lower() == "fisheye":
+        return "set equidistant, if the four coefficients are those of OpenCV's fisheye model"
+    return "calibrate with one of them, or set plumb_bob and zeros for an image without distortion"
 
 
 def check_rectification(camera: CameraModel, label: str) -> None:
@@ -155,7 +182,8 @@ def _check_form(matrix: F64, label: str, name: str, form: str) -> None:
 
 def check_rotation(R: F64, name: str, label: str = "") -> None:
     """Raise CalibrationError with subject ``label`` where the float64 (3, 3) called ``name`` is not a rotation."""
-    error = np.abs(R @ R.T - np.identity(3)).max()
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(R @ R.T - np.identity(3)).max()
     if not error <= 1e-3 or np.linalg.det(R) < 0:
         raise CalibrationError(
             f"{name} = {R.tolist()} is not a rotation (|R R^T - I| = {error:.3g}, limit 0.001; determinant +1)",

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,26 +21,26 @@ def camera_from_info(info: Any, topic: str = "") -> CameraModel:
 
     The region of interest shifts the principal points of K and P, then binning divides both, as in image_geometry:
     column 0 of an image is column ``roi.x_offset`` of the sensor. A region without size is the whole sensor, binning 0
-    means 1, ``roi.do_rectify`` is ignored.
+    means 1, ``roi.do_rectify`` is ignored. Where only P is set, the images are taken as rectified.
 
     Args:
         info: the message, of any family.
         topic: its topic, for error messages.
 
     Raises:
-        CalibrationError: a region of interest that leaves the sensor.
+        CalibrationError: a region of interest that leaves the sensor, binning above its size, or a matrix with another
+            number of values.
     """
     width, height, to_image = _published_image(info, topic)
-    return CameraModel(
-        width=width,
-        height=height,
-        distortion_model=info.distortion_model,
-        K=to_image @ np.reshape(info.k, (3, 3)),
-        D=np.array(info.d),
-        R=np.reshape(info.r, (3, 3)),
-        P=to_image @ np.reshape(info.p, (3, 4)),
-        frame_id=info.header.frame_id,
-    )
+    try:
+        sensor = CameraModel(
+            width, height, info.distortion_model, info.k, np.array(info.d), info.r, info.p, info.header.frame_id
+        )
+    except CalibrationError as error:
+        raise error.about(topic or "camera info") from error
+    with np.errstate(invalid="ignore"):  # inf is refused where a camera is checked
+        image = replace(sensor, K=to_image @ sensor.K, P=to_image @ sensor.P)
+    return image.described()
 
 
 def sensor_intrinsics(K: F64, info: Any, topic: str = "") -> F64:
@@ -66,6 +67,14 @@ def _published_image(info: Any, topic: str) -> tuple[int, int, F64]:
     whole = roi.width == 0 and roi.height == 0
     x, y, width, height = (0, 0, info.width, info.height) if whole else _region(info, topic)
     binning_x, binning_y = max(info.binning_x, 1), max(info.binning_y, 1)
+    if max(binning_x - width, binning_y - height) > 0 and min(width, height) > 0:
+        raise CalibrationError(
+            f"binning {binning_x}x{binning_y} is above the size {width}x{height}",
+            subject=topic or "camera info",
+            value=(binning_x, binning_y),
+            limit=(width, height),
+            remedy="set the binning of the driver, 1 or 0 without binning",
+        )
     to_image = np.array([[1 / binning_x, 0, -x / binning_x], [0, 1 / binning_y, -y / binning_y], [0, 0, 1]])
     return width // binning_x, height // binning_y, to_image
 

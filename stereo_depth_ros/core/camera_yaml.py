@@ -24,6 +24,8 @@ _KEYS = (
 def camera_from_yaml(text: str, source: str = "camera file") -> CameraModel:
     """The camera of a YAML text; the format has no optical frame, so ``frame_id`` is empty.
 
+    Without distortion_model it is plumb_bob, as in ROS; where only P is set, the images are taken as rectified.
+
     Args:
         text: the content of a file.
         source: its path, the subject of errors.
@@ -46,17 +48,17 @@ def camera_from_yaml(text: str, source: str = "camera file") -> CameraModel:
         return CameraModel(
             width=int(entries["image_width"]),
             height=int(entries["image_height"]),
-            distortion_model=str(entries["distortion_model"]),
+            distortion_model=str(entries.get("distortion_model", "plumb_bob")),
             K=np.array(entries["camera_matrix"]["data"], np.float64),
             D=np.array(entries["distortion_coefficients"]["data"], np.float64),
             R=np.array(entries["rectification_matrix"]["data"], np.float64),
             P=np.array(entries["projection_matrix"]["data"], np.float64),
-        )
+        ).described()
     except KeyError as error:
         raise CalibrationError(
             f"lacks the key {error}", subject=source, limit=_KEYS, remedy=f"a camera file has {_KEYS}"
         ) from error
-    except (TypeError, ValueError) as error:
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(
             f"a value is not a number or a list of them ({error})", subject=source, remedy="write numbers"
         ) from error

@@ -18,9 +18,11 @@ from stereo_depth_ros.core.camera_yaml import camera_from_yaml
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["Rig", "StereoRig"]
+__all__ = ["Rig", "StereoRig", "check_reference", "check_vertical"]
 
 MIN_BASELINE_M, MAX_BASELINE_M = 1e-3, 10.0
+MAX_OFFSET = 1e-3  # of P[0,3] in the left camera, relative to the right one: as much as focal lengths may differ
+MAX_VERTICAL = 0.01  # of P[1,3] relative to P[0,3]: 1 px between the rows at a disparity of 100 px
 
 
 class Rig(Protocol):
@@ -85,9 +87,21 @@ class StereoRig:
         _check_pair(self.left, self.right, *self._labels())
 
     @classmethod
-    def from_infos(cls, left_info: Any, right_info: Any, topics: tuple[str, str] = ("left", "right")) -> StereoRig:
-        """From two ``sensor_msgs/CameraInfo`` messages, or objects with the same fields."""
-        return cls(camera_from_info(left_info, topics[0]), camera_from_info(right_info, topics[1]), topics)
+    def from_infos(
+        cls, left_info: Any, right_info: Any, topics: tuple[str, str] = ("left", "right"), *, rectified: bool = False
+    ) -> StereoRig:
+        """From two ``sensor_msgs/CameraInfo`` messages, or objects with the same fields.
+
+        Args:
+            left_info, right_info: the messages.
+            topics: their topics, for error messages.
+            rectified: the images are rectified already, so that only size and P count.
+
+        Raises:
+            CalibrationError: camera infos that are not those of a rectified pair.
+        """
+        left, right = (camera_from_info(i, t) for i, t in zip((left_info, right_info), topics, strict=True))
+        return cls(left.rectified(), right.rectified(), topics) if rectified else cls(left, right, topics)
 
     @classmethod
     def from_yaml(cls, left_path: str | Path, right_path: str | Path) -> StereoRig:
@@ -308,21 +322,44 @@ def _check_pair(left: CameraModel, right: CameraModel, left_label: str, right_la
             limit=(left.width, left.height),
             remedy="both images must have the same size: set both cameras to the same resolution",
         )
-    _check_left_is_reference(left, left_label)
+    check_reference(left.P, right.P, left_label)
     _check_rows_agree(left.P, right.P, left_label, right_label)
+    check_vertical(left.P, right.P, right_label)
     _check_right_is_right(right.P, right_label)
 
 
-def _check_left_is_reference(left: CameraModel, label: str) -> None:
-    offset_m = np.abs(left.P[:2, 3] / left.P[0, 0]).max()
-    if offset_m > 1e-6:
+def check_reference(P_left: F64, P_right: F64, label: str = "") -> None:
+    """Raise CalibrationError with subject ``label`` where the left camera is not the origin of both P.
+
+    Args:
+        P_left, P_right: float64 (3, 4), with focal lengths above 0.
+    """
+    limit = MAX_OFFSET * np.maximum(abs(P_right[0, 3]), P_left[0, 0] * MIN_BASELINE_M)
+    if np.abs(P_left[0, 3]) > limit or np.abs(P_left[1, 3]) > max(limit, _row_limit(P_right)):
         raise CalibrationError(
-            f"P[:2, 3] = {left.P[:2, 3].tolist()}, it is 0 for the left camera, the reference",
+            f"P[:2, 3] = {P_left[:2, 3].tolist()}, it is 0 for the left camera, the reference",
             subject=label,
-            value=left.P[:2, 3],
-            limit=0,
-            remedy="left and right are probably swapped, exchange the topics",
+            value=P_left[:2, 3],
+            limit=float(limit),
+            remedy=_reference_remedy(float(P_left[0, 3]), float(P_right[0, 3]), limit),
         )
+
+
+def _reference_remedy(left: float, right: float, limit: float) -> str:
+    """The change of P[0, 3] that makes a rig, px * m."""
+    if abs(left) <= limit:
+        return "calibrate both cameras together as a stereo pair"
+    if abs(left - right) <= limit:
+        sign = f", and P[0,3] of the right camera to {-right:.6g}" if right > 0 else ""
+        return (
+            "both camera infos carry the baseline, they are not swapped: set P[0,3] of the left camera to 0, it "
+            f"belongs to the right camera only{sign}"
+        )
+    if right > left:
+        return "left and right are probably swapped, exchange the topics"
+    return (
+        f"P is relative to another camera: set P[0,3] of the left camera to 0, of the right one to {right - left:.6g}"
+    )
 
 
 def _check_rows_agree(P_left: F64, P_right: F64, left_label: str, right_label: str) -> None:
@@ -341,16 +378,33 @@ def _check_rows_agree(P_left: F64, P_right: F64, left_label: str, right_label: s
             )
 
 
-def _check_right_is_right(P: F64, label: str) -> None:
-    baseline_m, vertical_m = -P[0, 3] / P[0, 0], P[1, 3] / P[1, 1]
-    if abs(vertical_m) > 1e-6:
+def check_vertical(P_left: F64, P_right: F64, label: str = "") -> None:
+    """Raise CalibrationError with subject ``label`` where the baseline is not along the rows.
+
+    The rows of a point then differ by the share of its disparity that P[1,3] is of P[0,3].
+
+    Args:
+        P_left, P_right: float64 (3, 4), with focal lengths above 0.
+    """
+    vertical, limit = float(P_right[1, 3] - P_left[1, 3]), _row_limit(P_right)
+    if abs(vertical) > limit:
         raise CalibrationError(
-            f"P[1,3] = {P[1, 3]:g} is a vertical baseline of {vertical_m:g} m, it is 0 for cameras side by side",
+            f"P[1,3] = {P_right[1, 3]:g} is a vertical baseline of {vertical / P_right[1, 1]:g} m, it is 0 for cameras "
+            f"side by side, limit {limit:.3g}: {MAX_VERTICAL:g} of P[0,3], 1 px between the rows at a disparity of "
+            f"{1 / MAX_VERTICAL:g} px",
             subject=label,
-            value=float(P[1, 3]),
-            limit=0,
-            remedy="rotate the images by 90 degrees and calibrate them as left and right",
+            value=vertical,
+            limit=limit,
+            remedy="calibrate both cameras together; where one is above the other, rotate the images by 90 degrees "
+            "before and calibrate them as left and right",
         )
+
+
+def _row_limit(P_right: F64) -> float:
+    return float(MAX_VERTICAL * max(abs(P_right[0, 3]), P_right[0, 0] * MIN_BASELINE_M))
+
+
+def _check_right_is_right(P: F64, label: str) -> None:
     if P[0, 3] > 0:
         raise CalibrationError(
             f"P[0,3] = {P[0, 3]:g} is positive, it is -fx * baseline and below 0",
@@ -367,4 +421,4 @@ def _check_right_is_right(P: F64, label: str) -> None:
             limit=0,
             remedy="calibrate both cameras together as a stereo pair",
         )
-    _check_baseline(baseline_m, label)
+    _check_baseline(float(-P[0, 3] / P[0, 0]), label)

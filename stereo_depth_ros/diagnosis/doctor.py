@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera import CameraModel, check_calibrated
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.images import to_gray
@@ -53,7 +53,7 @@ def diagnose(setup: StereoSetup, progress: Callable[[int, int], None] = lambda d
     """
     cameras, findings = _examine_infos(setup)
     findings += _examine_streams(setup)
-    findings += _examine_images(setup, cameras)
+    findings += _examine_images(setup, cameras, findings)
     findings += _examine_rows(setup, cameras, findings, progress)
     return Diagnosis(setup, (*setup.findings, *settled(findings)))
 
@@ -108,9 +108,18 @@ def _examine_camera(setup: StereoSetup, side: str, record: CameraRecord) -> tupl
         camera = camera_from_info(record.infos[0], side)
     except CalibrationError as error:
         return [*findings, Finding.refused(f"{side} roi", error, "inside the sensor")], None
-    own = check_camera(camera, side)
+    try:
+        check_calibrated(camera, side)
+    except CalibrationError as error:
+        refused = Finding.refused(f"{side} calibration", error, "size, K and P")
+        return [*findings, replace(refused, value=f"{topic or side}: {refused.value}")], None
+    if setup.rectified:
+        camera = camera.rectified()
+    own = check_camera(camera, side, rectified=setup.rectified)
     findings += own
-    if not is_wrong(own, f"{side} size", f"{side} K", f"{side} distortion"):
+    if not is_wrong(
+        own, *(f"{side} {part}" for part in ("size", "K", "distortion", *(["P"] if setup.rectified else [])))
+    ):
         findings += check_resolution(camera, side, *_size_of_K(setup, side, camera))
     return findings, camera
 
@@ -136,7 +145,7 @@ def _examine_streams(setup: StereoSetup) -> list[Finding]:
     return missing or check_streams(setup.left.stamps_ns, setup.right.stamps_ns)
 
 
-def _examine_images(setup: StereoSetup, cameras: list[CameraModel]) -> list[Finding]:
+def _examine_images(setup: StereoSetup, cameras: list[CameraModel], before: list[Finding]) -> list[Finding]:
     """Sizes, frames and exposure."""
     if not setup.pairs:
         remedy = "make both cameras publish, or record both"
@@ -146,7 +155,9 @@ def _examine_images(setup: StereoSetup, cameras: list[CameraModel]) -> list[Find
         frame = getattr(setup.pairs[0], side)
         height, width = frame.pixels.shape[:2]
         sensor = (record.infos[0].width, record.infos[0].height)
-        findings.append(check_image_size(camera, sensor, width, height, side, record.image_topic))
+        if not is_wrong(before, f"{side} size"):
+            known = not is_wrong(before, f"{side} K", f"{side} P" if setup.rectified else "")
+            findings.append(check_image_size(camera, sensor, width, height, side, record.image_topic, known))
         findings.append(check_frame(cameras[0], cameras[1], side, frame.frame_id, record.image_topic))
     left, right = ([to_gray(getattr(pair, side)) for pair in setup.pairs] for side in ("left", "right"))
     findings += [check_exposure(left, "left"), check_exposure(right, "right"), check_two_cameras(left, right)]
@@ -200,8 +211,7 @@ def _rig_of_images(setup: StereoSetup, cameras: list[CameraModel]) -> tuple[Ster
     """The rig that rectifies the images as published, and why it gives no depth."""
     if not cameras:
         return None, ""
-    left, right = (camera.rectified() for camera in cameras) if setup.rectified else cameras
-    rig, why_not = rectification_rig(left, right, (setup.left.image_topic, setup.right.image_topic))
+    rig, why_not = rectification_rig(cameras[0], cameras[1], (setup.left.image_topic, setup.right.image_topic))
     if rig is not None and any(
         frame.pixels.shape[:2] != (rig.height, rig.width) for pair in setup.pairs for frame in (pair.left, pair.right)
     ):

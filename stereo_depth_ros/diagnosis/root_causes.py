@@ -7,7 +7,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from stereo_depth_ros.diagnosis.finding import Finding, Level, is_wrong
+from stereo_depth_ros.core.rig import MAX_OFFSET
+from stereo_depth_ros.diagnosis.finding import Finding, Level
 
 __all__ = ["settled"]
 
@@ -40,13 +41,21 @@ def _remedies_of_order(findings: Sequence[Finding]) -> dict[str, str]:
     order = next((finding for finding in findings if finding.check == _ORDER), None)
     if order is None or order.level is Level.SKIPPED:
         return {}
+    swapped = _infos_are_swapped(findings)
     if order.level is Level.ERROR:
-        return dict.fromkeys((_REFERENCE, _SIGN, *_FRAMES), order.remedy)
+        return dict.fromkeys((*((_REFERENCE,) if swapped else ()), _SIGN, *_FRAMES), order.remedy)
     remedies = dict.fromkeys(_FRAMES, "the images are in order: exchange the frame_ids")
-    if is_wrong(findings, _REFERENCE):
+    if swapped:
         return remedies | dict.fromkeys(
             (_REFERENCE, _SIGN), "the images are in order: exchange the camera infos, or their P"
         )
-    if any(finding.check == _SIGN and finding.figures.get("value") for finding in findings):
+    if any(finding.check == _SIGN and finding.figures.get("right") for finding in findings):
         remedies[_SIGN] = "the images are in order: change the sign of P[0,3]"
     return remedies
+
+
+def _infos_are_swapped(findings: Sequence[Finding]) -> bool:
+    """The left camera is not the reference, and stands to the right of the right one."""
+    reference = next((finding for finding in findings if finding.check == _REFERENCE), None)
+    left, right = ((reference.figures.get(side) if reference else None) or 0.0 for side in ("left", "right"))
+    return right - left > MAX_OFFSET * max(abs(left), abs(right))

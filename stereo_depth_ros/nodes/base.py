@@ -6,22 +6,21 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.subscription import Subscription
 
 from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.diagnostics import NodeDiagnostics
+from stereo_depth_ros.nodes.input import OVERRIDABLE_POLICIES, Input
 from stereo_depth_ros.nodes.interface import NodeInterface
 from stereo_depth_ros.nodes.message_types import RclpyTypes, message_class
 from stereo_depth_ros.nodes.parameters import NodeParameters, parameters_of_ros
@@ -29,7 +28,10 @@ from stereo_depth_ros.nodes.parameters import NodeParameters, parameters_of_ros
 __all__ = ["Output", "StereoNode", "log_compilation"]
 
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+_INFO = "sensor_msgs/msg/CameraInfo"
 _SILENCE_S = 5.0  # an input without a message for this time is reported
+_FOLLOW_S = 0.1  # between two looks at the publishers of the inputs
+_FOLLOW_ROUNDS = 5  # looks after an event
 
 
 def log_compilation(node: Node, number: int, total: int) -> None:
@@ -59,17 +61,6 @@ class Output:
         self._publisher.publish(message)
 
 
-@dataclass
-class _Input:
-    message_type: Any
-    topic: str
-    callback: Callable[[Any], None]
-    wanted: Callable[[], bool]
-    subscription: Subscription | None = None
-    received: int = 0
-    received_before: int = 0
-
-
 class StereoNode(Node):  # type: ignore[misc]
     """A node that subscribes to its inputs while one of its outputs has a subscriber, or always if it is not lazy.
 
@@ -92,10 +83,14 @@ class StereoNode(Node):  # type: ignore[misc]
         self.parameters.on_change = self._follow_demand
         self.diagnostics = NodeDiagnostics(self)
         self._outputs: list[Output] = []
-        self._inputs: list[_Input] = []
+        self._inputs: list[Input] = []
         self.on_idle: list[Callable[[], object]] = []  # called when the last output loses its last subscriber
         self._awake = False
-        self.create_timer(_SILENCE_S, self._report_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._received_before: dict[Input, int] = {}
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_SILENCE_S, self._report_silence, clock=steady)
+        self._follow_timer = self.create_timer(_FOLLOW_S, self._follow_publishers, clock=steady)
+        self._follow_rounds = _FOLLOW_ROUNDS
 
     def add_output(self, topic: str) -> Output:
         """A reliable publisher of a topic of the interface; its first subscriber wakes the node."""
@@ -104,20 +99,27 @@ class StereoNode(Node):  # type: ignore[misc]
             topic,
             QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=5, reliability=ReliabilityPolicy.RELIABLE),
             event_callbacks=PublisherEventCallbacks(matched=lambda _: self._follow_demand()),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            qos_overriding_options=QoSOverridingOptions(OVERRIDABLE_POLICIES),
         )
         self._outputs.append(Output(publisher))
         return self._outputs[-1]
 
     def add_input(self, topic: str, callback: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True) -> None:
-        """A best-effort subscription of a topic of the interface while an output and this input are needed.
+        """A subscription of a topic of the interface while an output and this input are needed, see :class:`Input`.
 
         Images are raw or compressed, by image_transport. Errors of the callback are reported.
         """
         msgtype = self.interface.inputs[topic]
         if msgtype == _IMAGE and self.parameters.get(PairingConfig).image_transport == "compressed":
             topic, msgtype = f"{topic}/compressed", _COMPRESSED
-        self._inputs.append(_Input(message_class(msgtype), topic, callback, wanted))
+        depth, repeated = self.parameters.get(PairingConfig).queue_size, msgtype == _INFO
+        message_type = message_class(msgtype)
+        self._inputs.append(
+            Input(
+                *(self, self.diagnostics, message_type, topic, callback, wanted, depth, repeated),
+                on_change=self._start_following,
+            )
+        )
         self._follow_demand()
 
     def refuse_equal_topics(self, left: str, right: str) -> None:
@@ -136,75 +138,51 @@ class StereoNode(Node):  # type: ignore[misc]
     def readiness(self) -> list[str]:
         """Lines for the log: the inputs with their QoS, then the matcher and the outputs."""
         by_qos: dict[str, list[str]] = {}
-        for topic in dict.fromkeys(self.resolve_topic_name(item.topic) for item in self._inputs):
-            by_qos.setdefault(self._qos_text(topic), []).append(topic)
+        for topic, qos in {item.resolved_topic: item.qos_text for item in self._inputs}.items():
+            by_qos.setdefault(qos, []).append(topic)
         inputs = "; ".join(f"{', '.join(topics)} ({qos})" for qos, topics in by_qos.items())
         parts = ["ready", *([f"matcher {self.matcher}"] if self.matcher else [])]
         parts.append("publishing" if self._awake else "waiting for a subscriber of")
         outputs = ", ".join(output.topic for output in self._outputs)
         return [f"inputs: {inputs}", f"{'; '.join(parts)} {outputs}"]
 
-    def _qos_text(self, topic: str) -> str:
-        """Reliability and depth of the subscription of a resolved topic, as the user may have overridden them."""
-        policies = {"reliability": "best_effort", "depth": self.parameters.get(PairingConfig).queue_size}
-        for policy in policies:
-            override = self._parameter_overrides.get(f"qos_overrides.{topic}.subscription.{policy}")
-            if override is not None:
-                policies[policy] = override.value
-        return f"{str(policies['reliability']).replace('_', ' ')}, depth {policies['depth']}"
-
     def _follow_demand(self) -> None:
         demand = not self.interface.lazy or any(output.wanted for output in self._outputs)
         for item in self._inputs:
             wanted = demand and item.wanted()
-            if wanted and item.subscription is None:
-                item.received_before = -1  # silence is reported after a whole interval without a message
+            if wanted and not item.subscribed:
+                self._received_before[item] = -1  # silence is reported after a whole interval without a message
                 with self.diagnostics.catch():
-                    item.subscription = self._subscribe(item)
-            elif not wanted and item.subscription is not None:
-                self.destroy_subscription(item.subscription)
-                item.subscription = None
+                    item.subscribe()
+            elif not wanted and item.subscribed:
+                item.unsubscribe()
         if self._awake and not demand:
             for forget in self.on_idle:
                 forget()
         self._awake = demand
 
-    def _subscribe(self, item: _Input) -> Subscription:
-        def receive(message: Any) -> None:
-            item.received += 1
+    def _start_following(self) -> None:
+        """Look at the publishers for a while: the graph shows a change somewhat later than the event."""
+        self._follow_rounds = _FOLLOW_ROUNDS
+        self._follow_timer.reset()
+
+    def _follow_publishers(self) -> None:
+        for item in self._inputs:
             with self.diagnostics.catch():
-                item.callback(message)
-
-        def incompatible(event: Any) -> None:
-            policy, topic = qos_policy_name_from_kind(event.last_policy_kind), self.resolve_topic_name(item.topic)
-            self.diagnostics.report_error(
-                f"incompatible qos {item.topic}",
-                f"{topic}: a publisher offers less {policy} than is requested, its messages will not be received: "
-                f"change the publisher, or set qos_overrides.{topic}.subscription.{policy.lower()}",
-            )
-
-        return self.create_subscription(
-            item.message_type,
-            item.topic,
-            receive,
-            QoSProfile(
-                history=HistoryPolicy.KEEP_LAST,
-                depth=self.parameters.get(PairingConfig).queue_size,
-                reliability=ReliabilityPolicy.BEST_EFFORT,
-            ),
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=incompatible),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+                item.follow_publishers()
+        self._follow_rounds -= 1
+        if self._follow_rounds <= 0 and all(item.settled for item in self._inputs):
+            self._follow_timer.cancel()
 
     def _report_silence(self) -> None:
         """Report all silent inputs in one error, by remedy; count each of them."""
         silent: dict[str, list[str]] = {}
         for item in self._inputs:
-            if item.subscription is not None and item.received == item.received_before:
+            if item.subscribed and item.received == self._received_before[item]:
                 self.diagnostics.counters[f"silent {item.topic}"] += 1
-                topic = self.resolve_topic_name(item.topic)
+                topic = item.resolved_topic
                 silent.setdefault(_silence_remedy(self.count_publishers(topic)), []).append(topic)
-            item.received_before = item.received
+            self._received_before[item] = item.received
         if silent:
             groups = [
                 f"{', '.join(dict.fromkeys(topics))}: nothing received for {_SILENCE_S:g} s; {remedy}"

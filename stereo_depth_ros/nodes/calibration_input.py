@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections import deque
 from collections.abc import Callable
@@ -24,10 +25,13 @@ class CalibrationInput:
 
     Args:
         node: subscribes left/camera_info and right/camera_info.
+        rectified: the images of the node are rectified already: K, D and R only tell which of their pixels have a
+            source, and P alone counts where they are refused.
     """
 
-    def __init__(self, node: StereoNode) -> None:
+    def __init__(self, node: StereoNode, *, rectified: bool = False) -> None:
         self._node = node
+        self._rectified = rectified
         self._infos: dict[str, Any] = {}
         self._contents: dict[str, Any] = {}
         self._rig: StereoRig | None = None
@@ -91,8 +95,12 @@ class CalibrationInput:
 
     def _build_rig(self) -> StereoRig:
         topics = (self._node.resolve_topic_name(_LEFT), self._node.resolve_topic_name(_RIGHT))
+        left, right = self._infos[_LEFT], self._infos[_RIGHT]
         try:
-            return StereoRig.from_infos(self._infos[_LEFT], self._infos[_RIGHT], topics)
+            if self._rectified:
+                with contextlib.suppress(CalibrationError):
+                    return StereoRig.from_infos(left, right, topics)
+            return StereoRig.from_infos(left, right, topics, rectified=self._rectified)
         except CalibrationError:
             self._node.diagnostics.counters["dropped without calibration"] += 1
             raise

@@ -68,7 +68,7 @@ class CalibrationMonitor(StereoNode):
         super().__init__()
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._config = self.parameters.get(CalibrationMonitorConfig)
-        self._calibration = CalibrationInput(self)
+        self._calibration = CalibrationInput(self, rectified=True)
         self._row_error = self.add_output("health/row_error")
         self._watch: _Watch | None = None
         self._examined_ns = -math.inf

@@ -35,7 +35,7 @@ class DepthNode(StereoNode):
     def __init__(self) -> None:
         super().__init__()
         self._pool = PayloadPool(self.types)
-        self._calibration = CalibrationInput(self)
+        self._calibration = CalibrationInput(self, rectified=True)
         self._image = self.add_output("depth/image_rect")
         self._info = self.add_output("depth/camera_info")
         self.add_input("disparity", self._receive)

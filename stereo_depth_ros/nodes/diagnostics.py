@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -45,6 +45,11 @@ class NodeDiagnostics:
         self._said_at: dict[str, float] = {}
         self._last_error = ""
         self._unsaid: Counter[str] = Counter()
+        self._losses: dict[str, tuple[Callable[[], int], Callable[[], str]]] = {}
+        self._losses_before: Counter[str] = Counter()  # as published last
+        self._losses_said: Counter[str] = Counter()  # as logged last
+        self._loss_at = self._loss_said_at = -_QUIET_S
+        self._last_loss = ""
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # A steady clock: diagnostics continue while simulated time stands still.
         node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -60,6 +65,10 @@ class NodeDiagnostics:
         self._said_at[kind] = now
         more = self._unsaid.pop(kind, 0)
         self._node.get_logger().error(f"{text} ({more} more of this kind)" if more else text)
+
+    def watch_loss(self, name: str, count: Callable[[], int], cause: Callable[[], str]) -> None:
+        """While ``count`` grows the level is WARN, and its growth is logged with the likely cause and the remedy."""
+        self._losses[name] = count, cause
 
     @contextmanager
     def catch(self) -> Iterator[None]:
@@ -87,18 +96,34 @@ class NodeDiagnostics:
 
     def publish(self) -> None:
         """Publish counters and timings on /diagnostics."""
+        self._check_losses()
         values = {**self.facts, **{name: str(count) for name, count in sorted(self.counters.items())}}
         for stage, times in self._timings_ms.items():
             p50, p95 = np.percentile(np.array(times), (50, 95))
             values |= {f"{stage} p50 ms": f"{p50:.3f}", f"{stage} p95 ms": f"{p95:.3f}"}
-        failing = time.monotonic() - max(self._said_at.values(), default=-_QUIET_S) < _QUIET_S
-        healthy = DiagnosticStatus.WARN if self.warning else DiagnosticStatus.OK
+        now = time.monotonic()
+        failing = now - max(self._said_at.values(), default=-_QUIET_S) < _QUIET_S
+        warning = self._last_loss if now - self._loss_at < _QUIET_S else self.warning
+        healthy = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if failing else healthy,
             name=self._node.get_fully_qualified_name(),
-            message=self._last_error if failing else self.warning or "ok",
+            message=self._last_error if failing else warning or "ok",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
+
+    def _check_losses(self) -> None:
+        """Note what was lost since the last time; log it at most once in five seconds."""
+        now, losses = time.monotonic(), Counter({name: count() for name, (count, _) in self._losses.items()})
+        if losses - self._losses_before:
+            self._loss_at = now
+        self._losses_before = losses
+        if (grown := losses - self._losses_said) and now - self._loss_said_at >= _QUIET_S:
+            self._losses_said, self._loss_said_at = losses, now
+            causes = dict.fromkeys(self._losses[name][1]() for name in grown)
+            counts = ", ".join(f"{count} {name} ({losses[name]} in all)" for name, count in grown.items())
+            self._last_loss = f"{counts}: {'; '.join(causes)}"
+            self._node.get_logger().warning(self._last_loss)

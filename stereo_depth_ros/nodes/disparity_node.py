@@ -40,7 +40,7 @@ class DisparityNode(StereoNode):
         self._pool = PayloadPool(self.types)
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._stage = functools.lru_cache(maxsize=1)(DisparityStage)
-        self._calibration = CalibrationInput(self)
+        self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("disparity")
         pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
         self.add_input("left/image_rect", pairs.add_left)

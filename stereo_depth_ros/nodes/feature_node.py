@@ -40,7 +40,7 @@ class FeatureNode(StereoNode):
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._stage = functools.lru_cache(maxsize=1)(FeatureStage)
-        self._calibration = CalibrationInput(self)
+        self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("features/points2")
         pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
         self.add_input("left/image_rect", pairs.add_left)

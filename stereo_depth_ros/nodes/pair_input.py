@@ -4,8 +4,12 @@
 
 from __future__ import annotations
 
+import functools
+from collections import deque
 from collections.abc import Callable
 from typing import Any
+
+import numpy as np
 
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.pairing import StereoPairing
@@ -16,6 +20,8 @@ from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 
 __all__ = ["PairInput", "decode_from", "decode_side"]
+
+_RECENT = 8  # stamps of each side from which their offset is measured
 
 
 class PairInput:
@@ -33,16 +39,55 @@ class PairInput:
         self._topics = (left, right)
         self._on_pair = on_pair
         self._backwards = 0
+        self._stamps: dict[str, deque[int]] = {topic: deque(maxlen=_RECENT) for topic in self._topics}
+        self._is_starting = True
+        # Of each side; at a start one is connected before the other, and its first messages have no partner.
+        self._unpaired_at_start, self._excused = [0, 0], [0, 0]
+        for side, topic in enumerate(self._topics):
+            node.diagnostics.watch_loss(f"unpaired {topic}", functools.partial(self._lost, side), self._cause_of_loss)
         # The stream may have restarted while the node was idle: its stamps may be earlier than before.
-        node.on_idle.append(self._pairing.flush)
+        node.on_idle.append(self._restart)
 
     def add_left(self, message: Any) -> None:
         """A message of the left topic."""
-        self._deliver(self._pairing.add_left(stamp_ns(message.header), message))
+        stamp = self._note(message, self._topics[0])
+        self._deliver(self._pairing.add_left(stamp, message))
 
     def add_right(self, message: Any) -> None:
         """A message of the right topic."""
-        self._deliver(self._pairing.add_right(stamp_ns(message.header), message))
+        stamp = self._note(message, self._topics[1])
+        self._deliver(self._pairing.add_right(stamp, message))
+
+    def _note(self, message: Any, topic: str) -> int:
+        stamp = stamp_ns(message.header)
+        self._stamps[topic].append(stamp)
+        return stamp
+
+    def _cause_of_loss(self) -> str:
+        """Why messages have no partner, by the last stamps of both sides."""
+        sides = [np.array(stamps, np.int64) for stamps in self._stamps.values()]
+        names = " and ".join(self._node.resolve_topic_name(topic) for topic in self._topics)
+        if not all(side.size for side in sides):
+            return f"only one of {names} arrives: start the other camera, or remap"
+        offset_ns = int(np.median([np.abs(sides[1] - stamp).min() for stamp in sides[0]]))
+        limit_ns = self._node.parameters.get(PairingConfig).tolerance_ns
+        if limit_ns is None or offset_ns <= limit_ns:
+            return f"of {names}, messages of one have no partner: publish both at one rate, and see what was lost"
+        remedy = f"set approximate_sync and an approximate_sync_tolerance_seconds above {offset_ns / 1e9:.6f}"
+        return f"stamps of {names} are {offset_ns / 1e6:.3f} ms apart, the tolerance is {limit_ns / 1e6:g} ms: {remedy}"
+
+    def _restart(self) -> None:
+        self._pairing.flush()
+        self._excused = [before + self._few(side) for side, before in enumerate(self._excused)]
+        self._unpaired_at_start = [0, 0]
+        self._is_starting = True
+
+    def _few(self, side: int) -> int:
+        return min(self._unpaired_at_start[side], self._node.parameters.get(PairingConfig).queue_size)
+
+    def _lost(self, side: int) -> int:
+        """Unpaired messages of a side, but for the first few of every start."""
+        return self._node.diagnostics.counters[f"unpaired {self._topics[side]}"] - self._excused[side] - self._few(side)
 
     def _deliver(self, pairs: list[tuple[Any, Any]]) -> None:
         self._count()
@@ -52,10 +97,12 @@ class PairInput:
 
     def _count(self) -> None:
         counts, counters = self._pairing.counts, self._node.diagnostics.counters
-        left, right = self._topics
-        counters["paired"] = counts.paired
-        counters[f"unpaired {left}"] = counts.dropped_left
-        counters[f"unpaired {right}"] = counts.dropped_right
+        paired_before, counters["paired"] = counters["paired"], counts.paired
+        for side, dropped in enumerate((counts.dropped_left, counts.dropped_right)):
+            unpaired = f"unpaired {self._topics[side]}"
+            grown, counters[unpaired] = dropped - counters[unpaired], dropped
+            self._unpaired_at_start[side] += grown if self._is_starting else 0
+        self._is_starting = self._is_starting and counts.paired == paired_before
         counters["duplicate stamps"] = counts.duplicates
         if counts.backwards > self._backwards:
             self._backwards = counts.backwards

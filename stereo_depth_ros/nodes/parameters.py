@@ -15,6 +15,12 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos, replace_checked, unknown_parameter
+from stereo_depth_ros.config.other_parameters import (
+    QOS_OVERRIDES,
+    is_ros_parameter,
+    is_without_effect,
+    without_effect_text,
+)
 from stereo_depth_ros.core.errors import ConfigError, StereoDepthError
 
 __all__ = ["NodeParameters", "error_text", "parameters_of_ros"]
@@ -34,14 +40,11 @@ _PARAMETERS: Mapping[str, str] = {
     "model": "lens_model",
     **{name: f"board_{name}" for name in ("size", "square", "marker", "dictionary", "spacing")},
 }
-# Parameters of rclpy
-_ROS_OWN = ("use_sim_time", "start_type_description_service")
-_QOS_OVERRIDES = "qos_overrides."
 _QOS_POLICIES = {"reliability": ReliabilityPolicy, "durability": DurabilityPolicy, "history": HistoryPolicy}
 
 
 class NodeParameters:
-    """The configs of a node.
+    """The configs of a node; parameters of stereo_image_proc that have no effect are named in one line of the log.
 
     Args:
         node: declares the parameters.
@@ -56,6 +59,8 @@ class NodeParameters:
         overrides = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
         _refuse_unknown(overrides)
         _refuse_unknown_qos(overrides)
+        if text := without_effect_text(overrides):
+            node.get_logger().info(text)
         self.on_change: Callable[[], None] = lambda: None
         self._configs: dict[type, Any] = {}
         self._checks: dict[type, Callable[[Any], object]] = {}
@@ -117,17 +122,17 @@ def _names(config: type) -> set[str]:
 
 
 def _refuse_unknown(overrides: dict[str, Any]) -> None:
-    """One parameter file serves all nodes: only names that no stage has are refused."""
-    known = {*_ROS_OWN, *(name for config in CONFIGS.values() for name in _names(config))}
+    """One parameter file serves all nodes: only names that no stage has are refused, nor a node that this replaces."""
+    known = {name for config in CONFIGS.values() for name in _names(config)}
     for name in overrides:
-        if name not in known and not name.startswith(_QOS_OVERRIDES):
+        if name not in known and not is_ros_parameter(name) and not is_without_effect(name):
             raise unknown_parameter(name, known)
 
 
 def _refuse_unknown_qos(overrides: dict[str, Any]) -> None:
     """At start: rclpy would check them only when a topic is subscribed, which may be much later."""
     for name, value in overrides.items():
-        if not name.startswith(_QOS_OVERRIDES):
+        if not name.startswith(QOS_OVERRIDES):
             continue
         if name.endswith(".depth") and (type(value) is not int or value < 0):
             raise ConfigError(

@@ -37,7 +37,7 @@ class PointCloudNode(StereoNode):
     def __init__(self) -> None:
         super().__init__()
         self._pool = PayloadPool(self.types)
-        self._calibration = CalibrationInput(self)
+        self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("points2")
         self._pairs = PairInput(self, "disparity", _COLOR, self._on_pair)
         self.add_input("disparity", self._receive)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import signal
 import subprocess
@@ -13,8 +14,10 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Literal
+from typing import Any, Literal
 
+from stereo_depth_ros.config.ros_yaml import node_parameters
+from stereo_depth_ros.config.values import PIPELINE_NODES
 from stereo_depth_ros.core.errors import GraphError
 
 __all__ = ["SHAPES", "GraphProcesses", "require_ros"]
@@ -39,12 +42,13 @@ class GraphProcesses:
         shape: "fused" or "separate".
         parameters: ROS parameters of every node of the shape; ``image_transport`` of those that read raw images.
         log_dir: folder of the log files, one per node; created when missing.
-        params_file: ROS parameter file of every node; ``parameters`` override it.
+        params_file: ROS parameter file, of which every node takes its own sections; ``parameters`` override it.
         monitor: "report" also runs the calibration monitor; "correct" rectifies with the camera infos that it corrects.
         env: environment variables in addition to those of this process.
 
     Raises:
         GraphError: unknown shape.
+        ConfigError: not a parameter file.
     """
 
     def __init__(
@@ -143,16 +147,20 @@ class GraphProcesses:
 
     def _command(self, node: str) -> list[str]:
         command = [sys.executable, "-m", f"stereo_depth_ros.nodes.{node}", "--ros-args"]
-        if self._params_file is not None:
-            command += ["--params-file", str(self._params_file)]
-        for name, value in self._parameters.items():
+        # All as -p: ROS lets a section of the file that names the node override -p.
+        for name, value in {**self._own_parameters(node), **self._parameters}.items():
             if name != "image_transport" or node in _READ_RAW_IMAGES:
-                command += ["-p", f"{name}:={_ros_text(value)}"]
+                command += ["-p", f"{name}:={json.dumps(value)}"]
         if self._correct and node == _MONITOR:
             command += ["-p", "auto_correct:=true"]
         if self._correct and node in _READ_RAW_IMAGES:
             command += ["-r", "right/camera_info:=right/camera_info_corrected"]
         return command
+
+    def _own_parameters(self, node: str) -> dict[str, Any]:
+        """What the node takes from the parameter file; the fused node also takes the sections of the separate ones."""
+        names = PIPELINE_NODES if node in SHAPES["fused"] else (node,)
+        return node_parameters(self._params_file, *names) if self._params_file else {}
 
     def _tail(self, node: str) -> str:
         return "\n".join(self.log(node).read_text(errors="replace").splitlines()[-_TAIL_LINES:])
@@ -181,10 +189,3 @@ def _wait(processes: list[subprocess.Popen[bytes]], timeout_s: float) -> None:
             process.wait(max(0.0, end - time.monotonic()))
         except subprocess.TimeoutExpired:
             return
-
-
-def _ros_text(value: bool | int | float | str) -> str:
-    """A parameter value in the YAML of the ROS command line: every double has a dot."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value!r}" if isinstance(value, float) else str(value)

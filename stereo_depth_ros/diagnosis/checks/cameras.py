@@ -28,10 +28,15 @@ MAX_ASPECT = 1.25  # of fx and fy; pixels are nearly square
 _ANY_MATRIX = np.identity(3)
 
 
-def check_camera(camera: CameraModel, side: str) -> list[Finding]:
-    """Size, K, distortion, R and P of one camera, separately; ``side`` is "left" or "right"."""
+def check_camera(camera: CameraModel, side: str, *, rectified: bool = False) -> list[Finding]:
+    """Size, K, distortion, R and P of one camera, separately; of ``rectified`` images size and P only.
+
+    ``side`` is "left" or "right".
+    """
     findings = []
     for name, check, alone, value, limit in _parts(camera):
+        if rectified and name not in ("size", "P"):
+            continue
         try:
             check(alone, side)
         except CalibrationError as error:
@@ -44,7 +49,7 @@ def check_camera(camera: CameraModel, side: str) -> list[Finding]:
 def _parts(camera: CameraModel) -> Iterator[tuple[str, Callable[[CameraModel, str], None], CameraModel, str, str]]:
     """Name, check, the camera with all other parts valid, value, limit."""
     K, P = camera.K, camera.P
-    bare = replace(camera, width=1, height=1, distortion_model="plumb_bob", D=np.zeros(0), K=_ANY_MATRIX)
+    bare = CameraModel(1, 1, "plumb_bob", _ANY_MATRIX, np.zeros(0), _ANY_MATRIX, np.identity(4)[:3])
     size = replace(bare, width=camera.width, height=camera.height)
     yield "size", check_intrinsics, size, f"{camera.width}x{camera.height}", "above 0"
     yield "K", check_intrinsics, replace(bare, K=K), _projection(K), "set, finite"
@@ -70,8 +75,10 @@ def _camera_fault(camera: CameraModel, check: str, name: str, error: Calibration
 
 
 def _is_intrinsics_times_rotation(camera: CameraModel) -> bool:
+    if not camera.P.any() or not all(np.isfinite(part).all() for part in (camera.K, camera.R, camera.P)):
+        return False
     near = 1e-3 * abs(camera.K[0, 0])
-    return bool(camera.P.any() and np.allclose(camera.P[:, :3], camera.K @ camera.R, rtol=0, atol=near))
+    return bool(np.allclose(camera.P[:, :3], camera.K @ camera.R, rtol=0, atol=near))
 
 
 def check_resolution(camera: CameraModel, side: str, width: int, height: int) -> list[Finding]:

@@ -8,14 +8,23 @@ for each part, with all other parts replaced by valid ones.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
-from stereo_depth_ros.core.rig import MAX_BASELINE_M, MIN_BASELINE_M, StereoRig
+from stereo_depth_ros.core.rig import (
+    MAX_BASELINE_M,
+    MAX_VERTICAL,
+    MIN_BASELINE_M,
+    StereoRig,
+    check_reference,
+    check_vertical,
+)
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.diagnosis.checks.cameras import fits_image
 from stereo_depth_ros.diagnosis.finding import Finding, Level
@@ -26,18 +35,21 @@ WIDE_BASELINE_M = 1.5  # few rigs are wider; a small one with centimeters taken 
 FULL_SIZE_MM = 20.0  # a baseline of more meters than this was in millimeters, else in centimeters
 _EXAMPLE_BASELINE_M = 0.1
 _ANY_MATRIX = np.identity(3)
-_SIGN = "right P[0,3]"
+_REFERENCE, _SIGN = "left P[:, 3]", "right P[0,3]"
+_Part: TypeAlias = tuple[str, Callable[[], object], str, str]  # name, what raises where it is wrong, value, limit
 
 
 def check_pair(left: CameraModel, right: CameraModel) -> list[Finding]:
     """Sizes, focal lengths, rows, and the baseline of two cameras whose P are usable, separately."""
     findings = []
-    for name, rig_cameras, value, limit in _pair_parts(left, right):
+    for name, check, value, limit in _pair_parts(left, right):
         try:
-            StereoRig(*rig_cameras)
+            check()
         except CalibrationError as error:
             refused = Finding.refused(name, error, limit, _remedy(name, left, right))
-            findings.append(replace(refused, figures={"value": float(right.P[0, 3])}) if name == _SIGN else refused)
+            if name in (_REFERENCE, _SIGN):
+                refused = replace(refused, figures={"left": float(left.P[0, 3]), "right": float(right.P[0, 3])})
+            findings.append(refused)
         else:
             findings.append(_wide(right.P, limit) if name == "baseline" else Finding(name, Level.OK, value, limit))
     return findings
@@ -51,40 +63,39 @@ def _remedy(name: str, left: CameraModel, right: CameraModel) -> str:
     return _unit_remedy(right.P) if name == "baseline" else ""
 
 
-def _pair_parts(
-    left: CameraModel, right: CameraModel
-) -> Iterator[tuple[str, tuple[CameraModel, CameraModel], str, str]]:
-    """Name, two cameras with all other parts valid, value, limit."""
+def _pair_parts(left: CameraModel, right: CameraModel) -> Iterator[_Part]:
+    """Each part with all other parts valid."""
     P = left.P[:, :3]
     sizes = f"{left.width}x{left.height}, {right.width}x{right.height}"
-    yield "sizes", (_plain(left, P), _plain(right, P, _EXAMPLE_BASELINE_M)), sizes, "equal"
+    yield "sizes", partial(StereoRig, _plain(left, P), _plain(right, P, _EXAMPLE_BASELINE_M)), sizes, "equal"
     if (left.width, left.height) != (right.width, right.height):
-        yield from _baseline_parts(right)
+        yield from _baseline_parts(left, right)
         return  # what is in px cannot be compared
-    reference = replace(_plain(left, P), P=left.P)
-    yield "left P[:, 3]", (reference, _plain(left, P, _EXAMPLE_BASELINE_M)), str(left.P[:2, 3].tolist()), "0"
+    yield _REFERENCE, partial(check_reference, left.P, right.P), str(left.P[:2, 3].tolist()), "0"
     for name, at in (("fx", (0, 0)), ("fy", (1, 1)), ("cy", (1, 2))):
         other = P.copy()
         other[at] = right.P[at]
         limit = "equal within 0.01 px" if name == "cy" else "equal within 0.1 %"
         value = f"{left.P[at]:.3f}, {right.P[at]:.3f} px"
-        yield f"{name} of P", (_plain(left, P), _plain(left, other, _EXAMPLE_BASELINE_M)), value, limit
-    yield from _baseline_parts(right)
+        check = partial(StereoRig, _plain(left, P), _plain(left, other, _EXAMPLE_BASELINE_M))
+        yield f"{name} of P", check, value, limit
+    yield from _baseline_parts(left, right)
 
 
-def _baseline_parts(right: CameraModel) -> Iterator[tuple[str, tuple[CameraModel, CameraModel], str, str]]:
+def _baseline_parts(left: CameraModel, right: CameraModel) -> Iterator[_Part]:
     P = right.P[:, :3]
-    left, fx = _plain(right, P), right.P[0, 0]
+    plain, fx = _plain(right, P), right.P[0, 0]
 
-    def side(across: float, down: float = 0.0) -> CameraModel:
-        return replace(left, P=np.column_stack([P, [across, down, 0.0]]))
+    def side(across: float) -> CameraModel:
+        return replace(plain, P=np.column_stack([P, [across, 0.0, 0.0]]))
 
-    vertical = side(-fx * _EXAMPLE_BASELINE_M, right.P[1, 3])
-    yield "right P[1,3]", (left, vertical), f"{right.P[1, 3]:g}", "0: cameras side by side"
+    vertical = partial(check_vertical, left.P, right.P)
+    yield "right P[1,3]", vertical, f"{right.P[1, 3]:g}", f"up to {MAX_VERTICAL:g} of P[0,3]: cameras side by side"
     sign = side(right.P[0, 3] if right.P[0, 3] >= 0 else -fx * _EXAMPLE_BASELINE_M)
-    yield _SIGN, (left, sign), f"{right.P[0, 3]:.4f}", "below 0"
+    yield _SIGN, partial(StereoRig, plain, sign), f"{right.P[0, 3]:.4f}", "below 0"
     if right.P[0, 3]:
-        yield "baseline", (left, side(-abs(right.P[0, 3]))), "", f"{MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m"
+        limit = f"{MIN_BASELINE_M:g}..{MAX_BASELINE_M:g} m"
+        yield "baseline", partial(StereoRig, plain, side(-abs(right.P[0, 3]))), "", limit
 
 
 def _plain(camera: CameraModel, P: F64, baseline_m: float = 0.0) -> CameraModel:
@@ -137,7 +148,7 @@ def rectification_rig(left: CameraModel, right: CameraModel, topics: tuple[str, 
 
 
 def check_image_size(
-    camera: CameraModel, sensor: tuple[int, int], width: int, height: int, side: str, topic: str
+    camera: CameraModel, sensor: tuple[int, int], width: int, height: int, side: str, topic: str, K_known: bool = True
 ) -> Finding:
     """Whether the images have the size of their camera info.
 
@@ -145,12 +156,13 @@ def check_image_size(
         camera: after binning and roi.
         sensor: width and height in the camera info, px, of the whole sensor.
         width, height: of the images, px.
+        K_known: K is one, so that it may show which size it is for.
     """
     check, limit = f"{side} image size", f"{camera.width}x{camera.height}"
     try:
         _rig_of(camera, camera).check_image(width, height, topic)
     except CalibrationError as error:
-        return Finding.refused(check, error, limit, _size_remedy(camera, sensor, width, height))
+        return Finding.refused(check, error, limit, _size_remedy(camera if K_known else None, sensor, width, height))
     return Finding(check, Level.OK, f"{width}x{height}", limit)
 
 
@@ -175,11 +187,11 @@ def check_frame_names(left: CameraModel, right: CameraModel) -> list[Finding]:
     return [Finding("frame names", Level.WARNING, value, "left, right", remedy)]
 
 
-def _size_remedy(camera: CameraModel, sensor: tuple[int, int], width: int, height: int) -> str:
+def _size_remedy(camera: CameraModel | None, sensor: tuple[int, int], width: int, height: int) -> str:
     """The remedy where the size of the images shows the fault of the camera info; else empty."""
     if (width, height) == sensor:
         return "the images are of the whole sensor: set binning and roi of the camera info to 0"
-    if fits_image(camera, width, height):
+    if camera is not None and fits_image(camera, width, height):
         return f"K is for images of {width}x{height}: set width and height of the camera info to that"
     across, down = sensor[0] / width, sensor[1] / height
     text = f"the images are {1 / across:.4g} times the size that was calibrated"

@@ -36,8 +36,8 @@ NO_MATCH = int(Reason.NO_MATCH)
 class SemiGlobalBlockMatcher(SerialMatcher):
     """``cv2.StereoSGBM`` (Hirschmueller 2008, with block costs of Birchfield and Tomasi 1998).
 
-    It processes the whole image in one thread, as paths cross all rows. ``uniqueness_ratio``, ``P1`` and ``P2`` are
-    rounded to integers, see :func:`penalties`; ``disp12_max_diff`` 0 means 1 px, as in OpenCV. OpenCV does not report
+    It processes the whole image in one thread, as paths cross all rows. Fractions of ``uniqueness_ratio``, ``P1`` and
+    ``P2`` are cut off, see :func:`penalties`; ``disp12_max_diff`` 0 means 1 px, as in OpenCV. OpenCV does not report
     why it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle filter of this
     package gives the result of OpenCV and the reason SPECKLE.
 
@@ -52,7 +52,7 @@ class SemiGlobalBlockMatcher(SerialMatcher):
         check_search(config)
         _check_window(config)
         P1, P2 = penalties(config)
-        uniqueness = round(config.uniqueness_ratio)
+        uniqueness = int(config.uniqueness_ratio)
         if config.sgbm_mode == 2 and uniqueness == 100:
             raise ConfigError(
                 f"uniqueness_ratio = {config.uniqueness_ratio:g} divides by zero in sgbm_mode 2",
@@ -102,8 +102,9 @@ def penalties(config: MatchingConfig) -> tuple[int, int]:
     """
     area = config.correlation_window_size**2
     room = LARGEST_TOTAL - area * _largest_pixel_cost(config) // 2
-    P1 = round(config.P1) or min(8 * area, (round(config.P2) or room) // 2)
-    return P1, round(config.P2) or max(min(32 * area, room), P1 + 1)
+    P1, P2 = int(config.P1), int(config.P2)
+    P1 = P1 or min(8 * area, (P2 or room) // 2)
+    return P1, P2 or max(min(32 * area, room), P1 + 1)
 
 
 def _largest_pixel_cost(config: MatchingConfig) -> int:

@@ -38,10 +38,10 @@ class BlockMatcher(SerialMatcher):
     of absolute differences; texture test; uniqueness test; sub-pixel fit; with ``disp12_max_diff`` above 0 the
     left-right check of OpenCV; speckle filter.
 
-    As in OpenCV, ``uniqueness_ratio`` is a whole percentage (rounded) and ``speckle_range`` counts steps of 1/16 px.
-    Pixels whose window or search leaves an image are BORDER. OpenCV differs for a negative ``min_disparity`` in the
-    last half window of columns, which it fills from windows clamped in the right image only, and in the left-right
-    check, where it includes such clamped windows at the left edge.
+    As in OpenCV, ``uniqueness_ratio`` is a whole percentage, fractions are cut off, and ``speckle_range`` counts steps
+    of 1/16 px. Pixels whose window or search leaves an image are BORDER. OpenCV differs for a negative
+    ``min_disparity`` in the last half window of columns, which it fills from windows clamped in the right image only,
+    and in the left-right check, where it includes such clamped windows at the left edge.
 
     ``support_px`` is the window; the Sobel prefilter reads one more pixel on all sides.
     """
@@ -71,7 +71,7 @@ class BlockMatcher(SerialMatcher):
         rows = left.shape[0]
         run_bands(_prefilter_rows, rows, left, right, config.prefilter_cap, self._filtered)
         search = (config.correlation_window_size // 2, config.min_disparity, config.num_disparities)
-        tests = (config.texture_threshold, round(config.uniqueness_ratio), config.disp12_max_diff)
+        tests = (config.texture_threshold, int(config.uniqueness_ratio), config.disp12_max_diff)
         buffers = (self._sum_type, self._disparity_x16, reasons)
         values = (self._filtered, config.prefilter_cap, *search, *tests, *buffers)
         # Every band starts by summing a whole window height.

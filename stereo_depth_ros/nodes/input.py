@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""An input of a node: subscribed while it is wanted, with the QoS that the publishers of its topic offer."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+from stereo_depth_ros.nodes.diagnostics import NodeDiagnostics
+
+__all__ = ["OVERRIDABLE_POLICIES", "Input"]
+
+OVERRIDABLE_POLICIES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
+
+
+class Input:
+    """A subscription that follows the demand of its node and the publishers of its topic.
+
+    It is reliable where every publisher is, so that nothing is lost, and best effort where one is not, because a
+    reliable subscription receives nothing from it. A topic of repeated messages, a camera info, is best effort, and
+    reliable and transient local where every publisher latches it: on a reliable subscription the repetitions wait for
+    one that was lost, up to a second where images fill the transport of a driver.
+    The parameters qos_overrides.<topic>.subscription.<policy> win.
+
+    Args:
+        node: subscribes.
+        diagnostics: of the node; errors of the callback are reported there, lost messages counted.
+        message_type: class of the messages.
+        topic: relative to the namespace of the node.
+        callback: called with every message.
+        wanted: whether the node needs this input.
+        depth: messages kept until the callback takes them.
+        repeated: whether the messages repeat one content, which may be latched instead.
+        on_change: called when a publisher appears or goes away, some time before the graph shows it.
+
+    Attributes:
+        received: number of messages.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        diagnostics: NodeDiagnostics,
+        message_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        wanted: Callable[[], bool],
+        depth: int,
+        repeated: bool,
+        on_change: Callable[[], None],
+    ) -> None:
+        self.topic = topic
+        self.wanted = wanted
+        self.received = 0
+        self._node = node
+        self._diagnostics = diagnostics
+        self._message_type = message_type
+        self._callback = callback
+        self._depth = depth
+        self._repeated = repeated
+        self._on_change = on_change
+        self._subscription: Subscription | None = None
+        self._offer = (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)  # of the subscription
+        self._former: Subscription | None = None  # until the one that replaces it is connected
+        self._sent_at: deque[int] = deque(maxlen=2 * depth)  # of the last messages, by the clock of their publisher
+        self._may_repeat = 0  # messages that both subscriptions may have received, at most
+        lost = f"lost {topic}"
+        if not repeated:
+            diagnostics.watch_loss(lost, lambda: diagnostics.counters[lost], self._cause_of_loss)
+
+    @property
+    def resolved_topic(self) -> str:
+        """The full name of the topic."""
+        return str(self._node.resolve_topic_name(self.topic))
+
+    @property
+    def subscribed(self) -> bool:
+        """Whether it is subscribed."""
+        return self._subscription is not None
+
+    @property
+    def settled(self) -> bool:
+        """Whether no change of the subscription is under way."""
+        return self._former is None
+
+    @property
+    def qos_text(self) -> str:
+        """Reliability and depth, as the user may have overridden them."""
+        overrides = self._overrides()
+        reliability = str(overrides.get("reliability", "reliability as published")).replace("_", " ")
+        return f"{reliability}, depth {overrides.get('depth', self._depth)}"
+
+    def subscribe(self) -> None:
+        """Subscribe, with the QoS of the publishers known so far.
+
+        Raises:
+            rclpy's errors for an override that is not a policy.
+        """
+        self._offer = self._publishers_offer()
+        self._subscription = self._create(self._offer)
+
+    def unsubscribe(self) -> None:
+        """Unsubscribe."""
+        for subscription in (self._former, self._subscription):
+            if subscription is not None:
+                self._node.destroy_subscription(subscription)
+        self._former = self._subscription = None
+        self._may_repeat = 0
+        self._sent_at.clear()
+
+    def follow_publishers(self) -> None:
+        """Subscribe again where the publishers offer another QoS than before; nothing is lost on the way."""
+        if self._subscription is None:
+            return
+        if self._former is not None:
+            if self._subscription.get_publisher_count() >= self._former.get_publisher_count():
+                self._node.destroy_subscription(self._former)
+                self._former, self._may_repeat = None, 2 * self._depth
+            return
+        offer = self._publishers_offer()
+        if offer != self._offer:
+            self._offer, self._former = offer, self._subscription
+            self._subscription = self._create(offer)
+
+    def _publishers_offer(self) -> tuple[ReliabilityPolicy, DurabilityPolicy]:
+        """The best QoS that all publishers offer; that of the subscription while there is none."""
+        profiles = [info.qos_profile for info in self._node.get_publishers_info_by_topic(self.resolved_topic)]
+        if not profiles:
+            return self._offer
+        reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
+        latched = self._repeated and all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+        reliable = reliable and (latched or not self._repeated)
+        return (
+            ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+
+    def _profile(self, offer: tuple[ReliabilityPolicy, DurabilityPolicy]) -> QoSProfile:
+        return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=self._depth, reliability=offer[0], durability=offer[1])
+
+    def _overrides(self) -> dict[str, Any]:
+        """The values that the user has set, by name of the policy."""
+        prefix = f"qos_overrides.{self.resolved_topic}.subscription."
+        found = self._node._parameter_overrides
+        names = [kind.name.lower() for kind in OVERRIDABLE_POLICIES]
+        return {name: found[prefix + name].value for name in names if prefix + name in found}
+
+    def _create(self, offer: tuple[ReliabilityPolicy, DurabilityPolicy]) -> Subscription:
+        # Only what the user has set: rclpy keeps the first value of a policy, and ours may change.
+        overridden = [kind for kind in OVERRIDABLE_POLICIES if kind.name.lower() in self._overrides()]
+        return self._node.create_subscription(
+            self._message_type,
+            self.topic,
+            self._receive,
+            self._profile(offer),
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=self._on_incompatible,
+                matched=lambda _: self._on_change(),
+                message_lost=self._on_lost,
+            ),
+            qos_overriding_options=QoSOverridingOptions(overridden),
+        )
+
+    def _receive(self, message: Any, info: Mapping[str, Any]) -> None:
+        with self._diagnostics.catch():
+            sent_at = info["source_timestamp"]
+            is_repeated = (self._former is not None or self._may_repeat > 0) and sent_at in self._sent_at
+            self._may_repeat = max(0, self._may_repeat - 1)
+            self._sent_at.append(sent_at)
+            if not is_repeated:
+                self.received += 1
+                self._callback(message)
+
+    def _on_lost(self, event: Any) -> None:
+        self._diagnostics.counters[f"lost {self.topic}"] += event.total_count_change
+
+    def _cause_of_loss(self) -> str:
+        topic = self.resolved_topic
+        if self._offer[0] == ReliabilityPolicy.RELIABLE:
+            return f"{topic} comes faster than this node takes it: lower its rate, or raise queue_size ({self._depth})"
+        return (
+            f"{topic} is best effort, and what finds no room in transit is gone: publish it reliably, or give its "
+            "publisher more shared memory, as config/fastdds.xml does"
+        )
+
+    def _on_incompatible(self, event: Any) -> None:
+        self._on_change()
+        policy, topic = qos_policy_name_from_kind(event.last_policy_kind), self.resolved_topic
+        if policy.lower() not in self._overrides():
+            return  # the subscription follows
+        self._diagnostics.report_error(
+            f"incompatible qos {self.topic}",
+            f"{topic}: a publisher offers less {policy} than is requested, its messages will not be received: "
+            f"change the publisher, or set qos_overrides.{topic}.subscription.{policy.lower()}",
+        )

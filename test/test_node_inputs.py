@@ -1,0 +1,147 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs follow the QoS of their publishers; what is lost or has no partner is counted, and said with its cause."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from graph_harness import NS_PER_S, Graph, StereoCamera
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image
+from stereo_msgs.msg import DisparityImage
+
+from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
+
+pytestmark = pytest.mark.graph
+
+SMALL = {"disparity_range": 32, "correlation_window_size": 9}
+FIRST_NS = 10 * NS_PER_S
+LEFT, RIGHT = "left/image_raw", "right/image_raw"
+LEFT_INFO, RIGHT_INFO = "left/camera_info", "right/camera_info"
+
+
+@pytest.fixture(scope="module")
+def camera() -> StereoCamera:
+    return StereoCamera()
+
+
+def input_qos(graph: Graph, topic: str) -> list[tuple[str, str]]:
+    """Reliability and durability of the subscriptions of a topic."""
+    found = [info.qos_profile for info in graph.subscribers(topic)]
+    return [(profile.reliability.name, profile.durability.name) for profile in found]
+
+
+@pytest.mark.parametrize("camera_first", [True, False])
+def test_inputs_follow_the_publishers(camera_first: bool) -> None:
+    topics = {LEFT: Image, RIGHT: Image, LEFT_INFO: CameraInfo, RIGHT_INFO: CameraInfo}
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        if not camera_first:
+            graph.listen("disparity", DisparityImage)
+            graph.wait(lambda: graph.subscriptions(*topics) == [1] * 4, "subscriptions")
+        for topic, kind in topics.items():
+            graph.advertise(topic, kind)
+        if camera_first:
+            graph.listen("disparity", DisparityImage)
+        for topic, kind in topics.items():
+            expected = [("RELIABLE" if kind is Image else "BEST_EFFORT", "VOLATILE")]
+            graph.wait(lambda t=topic, e=expected: input_qos(graph, t) == e, f"subscription of {topic}: {expected}")
+        graph.withdraw(LEFT)
+        graph.advertise(LEFT, Image, reliable=False)
+        expected = [("BEST_EFFORT", "VOLATILE")]
+        graph.wait(lambda: input_qos(graph, LEFT) == expected, "best-effort subscription")
+        assert input_qos(graph, RIGHT) == [("RELIABLE", "VOLATILE")]
+        assert not graph.errors(".")
+
+
+def test_a_subscription_that_changes_its_qos_loses_and_repeats_nothing(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        received = graph.listen("disparity", DisparityImage, depth=100)
+        for topic, kind in ((LEFT, Image), (RIGHT, Image), (LEFT_INFO, CameraInfo), (RIGHT_INFO, CameraInfo)):
+            graph.advertise(topic, kind, reliable=False)
+        graph.send(camera.infos(FIRST_NS))
+        sent = 0
+        while input_qos(graph, LEFT) != [("RELIABLE", "VOLATILE")]:
+            assert sent < 100, "the subscription has not changed within 100 pairs"
+            if sent == 5:  # the same publishers, now reliable
+                for topic in (LEFT, RIGHT):
+                    graph.withdraw(topic)
+                    graph.advertise(topic, Image)
+            graph.send(camera.images(FIRST_NS + sent * 10**7))
+            sent += 1
+            graph.wait(lambda count=sent: len(received) >= count, f"disparity {sent}")
+            graph.spin(0.02)
+        graph.send(camera.images(FIRST_NS + sent * 10**7))
+        graph.wait(lambda: len(received) > sent, "disparity by the new subscription")
+        stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in received]
+        assert stamps == [FIRST_NS + number * 10**7 for number in range(sent + 1)]
+        assert graph.counter("duplicate stamps") == 0
+
+
+def test_latched_camera_infos_of_before_arrive(camera: StereoCamera) -> None:
+    latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        for topic, message in camera.infos(FIRST_NS).items():
+            graph.advertise(topic, CameraInfo, qos=latched).publish(message)
+        received = graph.listen("disparity", DisparityImage)
+        graph.send(camera.images(FIRST_NS))
+        graph.wait(lambda: received, "disparity with camera infos published before the node subscribed")
+        assert input_qos(graph, LEFT_INFO) == [("RELIABLE", "TRANSIENT_LOCAL")]
+
+
+def test_stamps_that_never_match_are_measured(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        graph.listen("disparity", DisparityImage)
+        graph.send(camera.infos(FIRST_NS))
+        for number in range(12):
+            left = camera.images(FIRST_NS + number * 10**8)
+            right = camera.images(FIRST_NS + number * 10**8 + 17_000_000)
+            graph.send({LEFT: left[LEFT]})
+            graph.send({RIGHT: right[RIGHT]})
+            graph.spin(0.01)
+        graph.wait(lambda: graph.counter("unpaired left/image_raw") > 5, "unpaired images")
+        status = graph.status()
+        assert status.level == DiagnosticStatus.WARN
+        assert re.fullmatch(
+            r"\d+ unpaired left/image_raw \(\d+ in all\), \d+ unpaired right/image_raw \(\d+ in all\): "
+            r"stamps of /left/image_raw and /right/image_raw are 17\.000 ms apart, the tolerance is 0 ms: "
+            r"set approximate_sync and an approximate_sync_tolerance_seconds above 0\.017000",
+            status.message,
+        ), status.message
+        graph.wait(lambda: [log for log in graph.logs if log.msg == status.message], "warning in the log")
+        assert len([log for log in graph.logs if log.level == Log.WARN]) == 1
+
+
+def test_images_of_one_side_lost_are_counted_and_named(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        received = graph.listen("disparity", DisparityImage, depth=100)
+        graph.send(camera.infos(FIRST_NS))
+        for number in range(10):
+            images = camera.images(FIRST_NS + number * 10**8)
+            graph.send({LEFT: images[LEFT]})
+            if number not in (4, 6, 7):
+                graph.send({RIGHT: images[RIGHT]})
+                header = images[LEFT].header
+                graph.wait(lambda h=header: received and received[-1].header == h, f"disparity {number}")
+        assert graph.counter("unpaired left/image_raw") == 3
+        assert graph.counter("unpaired right/image_raw") == 0
+        status = graph.status()
+        assert status.level == DiagnosticStatus.WARN
+        assert status.message.startswith(
+            "3 unpaired left/image_raw (3 in all): of /left/image_raw and /right/image_raw"
+        )
+
+
+def test_a_start_on_one_side_is_not_a_loss(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        received = graph.listen("disparity", DisparityImage)
+        graph.send(camera.infos(FIRST_NS))
+        graph.send({LEFT: camera.images(FIRST_NS - 10**8)[LEFT]})
+        graph.spin(0.05)
+        graph.send(camera.images(FIRST_NS))
+        graph.wait(lambda: received, "disparity")
+        assert graph.counter("unpaired left/image_raw") == 1
+        assert (graph.status().level, graph.status().message) == (DiagnosticStatus.OK, "ok")
