@@ -10,8 +10,9 @@ from typing import Any
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import Frame
-from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.core.types import Frame, StereoPair
+from stereo_depth_ros.messages.bit_depth import BitDepth
+from stereo_depth_ros.messages.image import decode, decode_pair, image_size
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 
@@ -33,8 +34,8 @@ class PairInput:
         self._topics = (left, right)
         self._on_pair = on_pair
         self._backwards = 0
-        # The stream may have restarted while the node was idle: its stamps may be earlier than before.
-        node.on_idle.append(self._pairing.flush)
+        self._depth = BitDepth()
+        node.on_idle.append(self._restart)
 
     def add_left(self, message: Any) -> None:
         """A message of the left topic."""
@@ -43,6 +44,28 @@ class PairInput:
     def add_right(self, message: Any) -> None:
         """A message of the right topic."""
         self._deliver(self._pairing.add_right(stamp_ns(message.header), message))
+
+    def decode(self, left: Any, right: Any, rig: StereoRig | None = None) -> StereoPair:
+        """The frames of a pair, which come in the order of the pairs; all 16-bit images have one bit depth.
+
+        Args:
+            left, right: Image or CompressedImage.
+            rig: the cameras; None checks nothing.
+
+        Raises:
+            MessageError: an image that cannot be decoded, with its topic.
+            CalibrationError: the camera infos are those of the other camera, or of another size; nothing is decoded.
+        """
+        resolved = self._node.resolve_topic_name(self._topics[0]), self._node.resolve_topic_name(self._topics[1])
+        if rig is not None:
+            for side, message, topic in zip(("left", "right"), (left, right), resolved, strict=True):
+                _check(rig, side, message, topic)
+        return decode_pair(left, right, resolved, self._depth)
+
+    def _restart(self) -> None:
+        """While the node was idle its stream may have started again, with earlier stamps, and the cameras changed."""
+        self._pairing.flush()
+        self._depth = BitDepth()
 
     def _deliver(self, pairs: list[tuple[Any, Any]]) -> None:
         self._count()
@@ -67,15 +90,18 @@ class PairInput:
             )
 
 
-def decode_from(node: StereoNode, topic: str, message: Any) -> Frame:
+def _check(rig: StereoRig, side: str, message: Any, topic: str) -> None:
+    size = image_size(message, topic)
+    rig.check_side(side, message.header.frame_id, topic)
+    rig.check_image(*size, topic)
+
+
+def decode_from(node: StereoNode, topic: str, message: Any, depth: BitDepth | None = None) -> Frame:
     """The frame in an Image or CompressedImage; MessageError with the resolved topic."""
-    return decode(message, node.resolve_topic_name(topic))
+    return decode(message, node.resolve_topic_name(topic), depth)
 
 
 def decode_side(node: StereoNode, side: str, topic: str, message: Any, rig: StereoRig) -> Frame:
     """The frame of a camera ("left" or "right"); CalibrationError where the camera infos differ."""
-    frame = decode_from(node, topic, message)
-    resolved = node.resolve_topic_name(topic)
-    rig.check_side(side, frame.frame_id, resolved)
-    rig.check_image(frame.pixels.shape[1], frame.pixels.shape[0], resolved)
-    return frame
+    _check(rig, side, message, node.resolve_topic_name(topic))
+    return decode_from(node, topic, message)
