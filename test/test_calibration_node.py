@@ -230,3 +230,12 @@ def test_faults_of_images_are_reported(photographs: list[tuple[U8, U8]]) -> None
 def test_boards_that_cannot_be_end_the_start(parameters: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         Graph(CalibrationNode, parameters=parameters)
+
+
+def test_a_node_that_could_not_start_is_destroyed() -> None:
+    """As the rclpy of ROS 2 Kilted does when it shuts down."""
+    node = CalibrationNode.__new__(CalibrationNode)
+    with Graph(parameters={"board": "circles"}):
+        with pytest.raises(ConfigError, match="board = 'circles'"):
+            node.__init__()
+        node.destroy_node()

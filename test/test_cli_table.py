@@ -18,7 +18,7 @@ from stereo_depth_ros.cli.main import COMMANDS, app
 from stereo_depth_ros.core.errors import TopicError
 
 CLI = Path(__file__).resolve().parents[1] / "stereo_depth_ros" / "cli"
-HEAVY = ("numpy", "cv2", "numba", "rich", "rosbags", "mcap", "ruamel", "rclpy")
+HEAVY = ("numpy", "cv2", "numba", "rich", "rosbags", "mcap", "ruamel.yaml", "rclpy")
 
 
 def start(*arguments: str) -> tuple[int, str, set[str]]:
@@ -26,7 +26,7 @@ def start(*arguments: str) -> tuple[int, str, set[str]]:
     program = (
         f"import sys; sys.argv = ['stereo-depth', *{arguments!r}]\n"
         "from stereo_depth_ros.cli.main import main\n"
-        "try:\n    main()\nfinally:\n    print(sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr)"
+        "try:\n    main()\nfinally:\n    print(sorted(sys.modules), file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     return done.returncode, done.stdout, {name for name in HEAVY if f"'{name}'" in done.stderr}

@@ -83,7 +83,7 @@ def test_mutual_best() -> None:
 
 
 def test_lucas_kanade_moves_right_points_to_the_left_ones() -> None:
-    image, shift = texture(5), np.array([0.4, -0.3])
+    image, shift = texture(5), np.array([13, -10]) / 32  # warpAffine of OpenCV 4 rounds to 1/32 px
     moved = cv2.warpAffine(image, np.array([[1, 0, shift[0]], [0, 1, shift[1]]]), (160, 120), flags=cv2.INTER_CUBIC)
     points = np.array([[50.0, 40.0], [110.0, 75.0], [71.0, 90.0]])
     right, refined = refine_right_points(image, moved, points, points, window_px=15, max_move_px=1.0)

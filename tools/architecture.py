@@ -52,11 +52,9 @@ ORDER = (
 # Libraries that only these packages import; ROS is imported in nodes only.
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "numba": ("core", "matching"),
-    "llvmlite": ("matching",),
     "maxflow": ("matching",),
     "onnxruntime": ("matching",),
     "ruamel": ("core", "config", "bags", "datasets"),
-    "apsw": ("bags",),
     "lz4": ("bags",),
     "mcap": ("bags",),
     "rosbags": ("bags",),

@@ -14,7 +14,7 @@ from typing import Any
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.recovery import RecoveredMcap
-from stereo_depth_ros.bags.sources import UNREADABLE, open_sources
+from stereo_depth_ros.bags.sources import open_sources
 from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
 from stereo_depth_ros.core.errors import BagError, MessageError, TopicError
 
@@ -150,7 +150,9 @@ class BagReader:
         try:
             for topic, log_time_ns, data in items:
                 yield BagMessage(topic, self.topics[topic].msgtype, log_time_ns, data)
-        except UNREADABLE as error:
+        except BagError:
+            raise
+        except Exception as error:  # those of rosbags and of what it reads with have no common base class
             raise BagError(f"is damaged ({error})", subject=str(self.path), remedy="record or copy it again") from error
 
     def _merge_topics(self) -> dict[str, TopicInfo]:

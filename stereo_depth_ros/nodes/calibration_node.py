@@ -64,6 +64,9 @@ class CalibrationNode(StereoNode):
     )
 
     def __init__(self) -> None:
+        # first, because a node that cannot start is destroyed too
+        self._newest: queue.Queue[tuple[Any, Any] | None] = queue.Queue(1)
+        self._worker = threading.Thread(target=self._work, name="board", daemon=True)
         super().__init__()
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         config = self.parameters.get(CalibrationConfig)
@@ -84,15 +87,14 @@ class CalibrationNode(StereoNode):
         for name, msgtype in self.interface.services.items():
             act = {"~/calibrate": self._calibrate, "~/save": self._save, "~/commit": self._commit}[name]
             self.create_service(message_class(msgtype), name, self._service(act))
-        self._newest: queue.Queue[tuple[Any, Any] | None] = queue.Queue(1)
-        self._worker = threading.Thread(target=self._work, name="board", daemon=True)
         self._worker.start()
         self._report("waiting for images")
 
     def destroy_node(self) -> None:
         """Ends the thread, then the node."""
         self._replace_newest(None)
-        self._worker.join()
+        if self._worker.is_alive():
+            self._worker.join()
         super().destroy_node()
 
     def _on_pair(self, left: Any, right: Any) -> None:
