@@ -134,6 +134,25 @@ def test_bayer_mosaic_is_demosaiced(pattern: str, bits: str, padding: int) -> No
     np.testing.assert_array_equal(frame.pixels[1:-1, 1:-1], truth[1:-1, 1:-1])
 
 
+@pytest.mark.parametrize("bits", ["8", "16"])
+@pytest.mark.parametrize(
+    ("pattern", "code"),
+    [
+        ("rggb", cv2.COLOR_BayerBG2GRAY),
+        ("bggr", cv2.COLOR_BayerRG2GRAY),
+        ("gbrg", cv2.COLOR_BayerGR2GRAY),
+        ("grbg", cv2.COLOR_BayerGB2GRAY),
+    ],
+)
+def test_gray_of_a_mosaic_is_that_of_cv_bridge(pattern: str, code: int, bits: str) -> None:
+    mosaic = np.random.default_rng(5).integers(0, 256, (48, 64), dtype=np.uint8)
+    mosaic[0, 0] = 255  # the depth is 16
+    stored = mosaic if bits == "8" else mosaic.astype("<u2") * 257
+    frame = decode_image(_message(stored, f"bayer_{pattern}{bits}", 64, 48))
+    np.testing.assert_array_equal(to_gray(frame), cv2.cvtColor(mosaic, code))
+    assert not to_gray(frame).flags.writeable
+
+
 def _bgr_of_yuv(luma: Any, u: Any, v: Any) -> Any:
     """ITU-R BT.601, video range."""
     y = 255 / 219 * (luma.astype(float) - 16)
@@ -156,6 +175,7 @@ def test_yuv422_becomes_bgr(encoding: str, padding: int) -> None:
     samples = (chroma, luma) if encoding in ("yuv422", "uyvy") else (luma, chroma)
     frame = decode_image(_message(np.stack(samples, axis=-1), encoding, 8, 3, padding=padding))
     expected = _bgr_of_yuv(luma, u.repeat(2, axis=1), v.repeat(2, axis=1))
+    np.testing.assert_array_equal(to_gray(frame), luma)  # as in cv_bridge
     assert frame.encoding == "bgr8"
     np.testing.assert_allclose(frame.pixels, expected, atol=1.0)  # fixed-point arithmetic and rounding
 
@@ -167,6 +187,7 @@ def test_yuv420_becomes_bgr(encoding: str, padding: int) -> None:
     chroma = np.stack([u, v] if encoding == "nv12" else [v, u], axis=-1).reshape(3, 8)
     frame = decode_image(_message(np.vstack([luma, chroma]), encoding, 8, 6, padding=padding))
     expected = _bgr_of_yuv(luma, *(plane.repeat(2, axis=0).repeat(2, axis=1) for plane in (u, v)))
+    np.testing.assert_array_equal(to_gray(frame), luma)
     assert (frame.encoding, frame.pixels.shape) == ("bgr8", (6, 8, 3))
     np.testing.assert_allclose(frame.pixels, expected, atol=1.0)  # fixed-point arithmetic and rounding
 

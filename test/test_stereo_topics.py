@@ -111,3 +111,20 @@ def test_errors_list_the_topics(names: list[str], left: str | None, right: str |
         find_stereo_topics(topics(*names), left, right)
     assert caught.value.settings == ("left", "right")
     assert caught.value.remedy and caught.value.remedy not in caught.value.problem
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["foxglove_msgs/msg/CompressedVideo", "foxglove.CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"],
+)
+def test_video_is_named_with_its_remedy(kind: str) -> None:
+    video = {"/left/image_raw/ffmpeg": kind, "/right/image_raw/ffmpeg": kind}
+    text = (
+        r"^/left/image_raw/ffmpeg, /right/image_raw/ffmpeg are video .*H\.264.*: decode it by ros2 run image_transport"
+    )
+    with pytest.raises(TopicError, match=text):
+        find_stereo_topics(video)
+    with pytest.raises(TopicError, match=r"not an image.*: decode it by ros2 run image_transport"):
+        find_stereo_topics(video, *video)
+    images = {"/left/image_raw": "sensor_msgs/msg/Image", "/right/image_raw": "sensor_msgs/msg/Image"}
+    assert find_stereo_topics(video | images).left_image == "/left/image_raw"

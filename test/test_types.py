@@ -101,3 +101,14 @@ def test_copies_of_frames_and_pairs_are_equal_and_read_only(duplicate: Callable[
     assert not duplicate(frame).pixels.flags.writeable
     copied = duplicate(rectified)
     assert not any(getattr(copied, name).flags.writeable for name in ("left", "right", "left_color"))
+
+
+def test_gray_of_a_frame_is_checked_compared_and_kept_by_copies() -> None:
+    frame = Frame(COLOR, 1, "left", "rgb8", GRAY.copy())
+    assert frame.gray is not None and not frame.gray.flags.writeable
+    assert frame == Frame(COLOR, 1, "left", "rgb8", GRAY) == copy.deepcopy(frame)
+    assert frame not in (Frame(COLOR, 1, "left", "rgb8"), Frame(COLOR, 1, "left", "rgb8", GRAY + 1))
+    with pytest.raises(ImageError, match=r"^gray: gray has shape .*, the pixels have"):
+        Frame(COLOR, 1, "left", "rgb8", GRAY[1:])
+    with pytest.raises(ImageError, match=r"^gray: pixels are float64, mono8 takes uint8"):
+        Frame(COLOR, 1, "left", "rgb8", GRAY.astype(float))  # type: ignore[arg-type]

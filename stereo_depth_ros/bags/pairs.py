@@ -17,11 +17,12 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
-from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
-from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.messages.image import decode_pair, image_size
 
 __all__ = ["BagPairs", "BagSelection", "PerCalibration", "SerializedPair", "read_pairs"]
 
@@ -92,18 +93,26 @@ class SerializedPair:
             self.info_topics,
         )
 
-    def images(self, types: RosbagsTypes, image_type: str) -> StereoPair:
+    def images(
+        self, types: RosbagsTypes, image_type: str, rig: Rig | None = None, depth: BitDepth | None = None
+    ) -> StereoPair:
         """Both images, decoded.
 
         Args:
             types: deserializes the messages.
             image_type: message type of the images, :attr:`StereoTopics.image_type`.
+            rig: the cameras; None does not check the sizes.
+            depth: of the 16-bit images of the bag so far, grows with the pair; None is that of this pair alone.
 
         Raises:
             MessageError: a message that is damaged, or whose encoding is not supported.
+            CalibrationError: an image has another size than the rig; nothing is decoded.
         """
         left, right = (types.deserialize(image, image_type) for image in (self.left, self.right))
-        return StereoPair(decode(left, "left image"), decode(right, "right image"))
+        if rig is not None:
+            for message, topic in zip((left, right), rig.topics, strict=True):
+                rig.check_image(*image_size(message, f"{topic} image"), topic)
+        return decode_pair(left, right, ("left image", "right image"), depth)
 
     @property
     def calibration(self) -> tuple[bytes, bytes]:
@@ -276,7 +285,8 @@ def read_pairs(bag: str | Path) -> Iterator[tuple[StereoPair, StereoRig]]:
         MessageError, CalibrationError: an image or a camera info that cannot be used.
     """
     types = RosbagsTypes()
-    rigs = PerCalibration(types, lambda rig: rig)
+    rigs, depth = PerCalibration(types, lambda rig: rig), BitDepth()
     with BagPairs(BagSelection(Path(bag)), PairingConfig()) as pairs:
         for pair in pairs.pairs():
-            yield pair.images(types, pairs.topics.image_type), rigs.of(pair)
+            rig = rigs.of(pair)
+            yield pair.images(types, pairs.topics.image_type, rig, depth), rig

@@ -16,7 +16,9 @@ __all__ = ["INFO_TYPE", "StereoTopics", "find_stereo_topics"]
 INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_VIDEO = {"CompressedVideo", "FFMPEGPacket"}  # message types of foxglove and ffmpeg_image_transport
 _REMEDY = "name both image topics"
+_VIDEO_REMEDY = "decode it by ros2 run image_transport republish, and use the raw or compressed topics"
 _SETTINGS = ("left", "right")
 
 # words of a name: leftImage2 is left, Image, 2
@@ -78,6 +80,8 @@ def find_stereo_topics(topics: Mapping[str, str], left: str | None = None, right
         for one, other in _side_pairs(images)
         if images[one] == images[other] and left in (None, one) and right in (None, other)
     ]
+    if not candidates:
+        _refuse_video(topics)
     return _best(candidates, images, left or right)
 
 
@@ -86,7 +90,27 @@ def _check_image(name: str | None, topics: Mapping[str, str], images: Mapping[st
         return
     problem = f"topic {name} is {topics[name]}, not an image" if name in topics else f"no topic {name}"
     remedy = f"choose among the image topics {_listed(images)}"
+    if _is_video(topics.get(name, "")):
+        remedy = _VIDEO_REMEDY
     raise TopicError(problem, value=name, limit=sorted(images), remedy=remedy, settings=_SETTINGS)
+
+
+def _is_video(kind: str) -> bool:
+    return re.split(r"[/.]", kind)[-1] in _VIDEO
+
+
+def _refuse_video(topics: Mapping[str, str]) -> None:
+    """Raise TopicError where the images may be in topics of video."""
+    video = {name: kind for name, kind in sorted(topics.items()) if _is_video(kind)}
+    if video:
+        raise TopicError(
+            f"{', '.join(video)} {'are' if len(video) > 1 else 'is'} video ({', '.join(sorted(set(video.values())))}), "
+            "H.264 or H.265, whose images need those before them",
+            value=list(video),
+            limit=(_RAW, _COMPRESSED),
+            remedy=_VIDEO_REMEDY,
+            settings=_SETTINGS,
+        )
 
 
 def _checked_pair(left: str, right: str, topics: Mapping[str, str]) -> StereoTopics:

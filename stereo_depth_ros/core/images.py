@@ -17,14 +17,17 @@ def to_gray(frame: Frame, out: U8 | None = None) -> U8:
     """The frame as uint8 (H, W).
 
     Args:
-        frame: mono8 is returned as is and ``out`` is not used; color is weighted as in Rec. 601.
-        out: uint8 (H, W), C-contiguous: written and returned if the frame is color.
+        frame: mono8, or the gray of the frame where it has one, is returned as is and ``out`` is not used; color is
+            weighted as in Rec. 601.
+        out: uint8 (H, W), C-contiguous: written and returned if gray is computed from the colors.
 
     Raises:
         ImageError: ``out`` has another size, type or layout.
     """
     if frame.encoding == "mono8":
         return frame.pixels
+    if frame.gray is not None:
+        return frame.gray
     height, width = frame.pixels.shape[:2]
     if out is None:
         out = np.empty((height, width), np.uint8)

@@ -85,6 +85,8 @@ class Frame:
         stamp_ns: time of the exposure, integer nanoseconds (the header stamp).
         frame_id: name of the optical frame.
         encoding: "mono8", "rgb8" or "bgr8".
+        gray: uint8 (H, W), gray of the camera where it does not come from the colors but from a mosaic or a luma plane;
+            None otherwise.
 
     Raises:
         ImageError: another dtype, shape or encoding.
@@ -94,18 +96,34 @@ class Frame:
     stamp_ns: int
     frame_id: str
     encoding: str = "mono8"
+    gray: U8 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", _checked(self.pixels, self.encoding, "pixels"))
+        if self.gray is None:
+            return
+        object.__setattr__(self, "gray", _checked(self.gray, "mono8", "gray"))
+        if self.gray.shape != self.pixels.shape[:2]:
+            raise ImageError(
+                f"gray has shape {self.gray.shape}, the pixels have {self.pixels.shape[:2]}",
+                subject="gray",
+                value=self.gray.shape,
+                limit=self.pixels.shape[:2],
+                remedy="pass gray of the size of the pixels, or None",
+            )
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Frame):
             return NotImplemented
         same = (self.stamp_ns, self.frame_id, self.encoding) == (other.stamp_ns, other.frame_id, other.encoding)
-        return same and np.array_equal(self.pixels, other.pixels)
+        if not same or (self.gray is None) != (other.gray is None):
+            return False
+        same_gray = self.gray is None or other.gray is None or np.array_equal(self.gray, other.gray)
+        return same_gray and np.array_equal(self.pixels, other.pixels)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.pixels, self.stamp_ns, self.frame_id, self.encoding)  # copies are read-only too
+        # copies are read-only too
+        return type(self), (self.pixels, self.stamp_ns, self.frame_id, self.encoding, self.gray)
 
     __hash__ = None  # type: ignore[assignment]
 

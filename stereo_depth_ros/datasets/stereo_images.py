@@ -18,8 +18,9 @@ from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.datasets.image_files import read_image
 from stereo_depth_ros.datasets.image_pairs import find_image_pairs
+from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
-from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.messages.image import decode_pair
 
 __all__ = ["BagImages", "FolderImages", "ImagePair", "StereoImages", "open_stereo_images"]
 
@@ -157,18 +158,19 @@ class BagImages:
     def __iter__(self) -> Iterator[ImagePair]:
         config = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=_TOLERANCE_S)
         pairing: StereoPairing[BagMessage] = StereoPairing(config)
+        depth = BitDepth()
         with BagReader(self._path) as reader:
             for message in reader.messages((self._topics.left_image, self._topics.right_image)):
                 add = pairing.add_left if message.topic == self._topics.left_image else pairing.add_right
                 for pair in add(cdr_stamp_ns(message.data), message):
-                    yield _decoded(reader, *pair)
+                    yield _decoded(reader, *pair, depth)
             for pair in pairing.flush():
-                yield _decoded(reader, *pair)
+                yield _decoded(reader, *pair, depth)
         lost = pairing.counts.dropped_left + pairing.counts.dropped_right
         if lost:
             self.warnings.append(f"{self._path}: {lost} images have no partner within {1e3 * _TOLERANCE_S:g} ms")
 
 
-def _decoded(reader: BagReader, left: BagMessage, right: BagMessage) -> ImagePair:
-    grays = [to_gray(decode(reader.deserialize(message), message.topic)) for message in (left, right)]
-    return ImagePair(f"{cdr_stamp_ns(left.data) / 1e9:.3f} s", *grays)
+def _decoded(reader: BagReader, left: BagMessage, right: BagMessage, depth: BitDepth) -> ImagePair:
+    pair = decode_pair(reader.deserialize(left), reader.deserialize(right), (left.topic, right.topic), depth)
+    return ImagePair(f"{cdr_stamp_ns(left.data) / 1e9:.3f} s", to_gray(pair.left), to_gray(pair.right))

@@ -17,7 +17,7 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.diagnosis.checks.cameras import check_camera, check_resolution, fits_image
 from stereo_depth_ros.diagnosis.checks.disparities import check_camera_order, check_depths
-from stereo_depth_ros.diagnosis.checks.images import check_exposure, check_two_cameras
+from stereo_depth_ros.diagnosis.checks.images import check_bit_depth, check_exposure, check_two_cameras
 from stereo_depth_ros.diagnosis.checks.rig import (
     check_frame,
     check_frame_names,
@@ -159,6 +159,8 @@ def _examine_images(setup: StereoSetup, cameras: list[CameraModel], before: list
             known = not is_wrong(before, f"{side} K", f"{side} P" if setup.rectified else "")
             findings.append(check_image_size(camera, sensor, width, height, side, record.image_topic, known))
         findings.append(check_frame(cameras[0], cameras[1], side, frame.frame_id, record.image_topic))
+    if setup.bits:
+        findings.append(check_bit_depth(setup.bits))
     left, right = ([to_gray(getattr(pair, side)) for pair in setup.pairs] for side in ("left", "right"))
     findings += [check_exposure(left, "left"), check_exposure(right, "right"), check_two_cameras(left, right)]
     return findings

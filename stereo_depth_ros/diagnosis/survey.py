@@ -11,10 +11,11 @@ from typing import Any
 from stereo_depth_ros.bags.topics import StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import MessageError
-from stereo_depth_ros.core.types import Frame, StereoPair
+from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.diagnosis.finding import Finding
+from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, without_stamp
-from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.messages.image import decode, decode_pair
 
 __all__ = ["NEAR", "PAIRS_EXAMINED", "CameraRecord", "StereoSetup", "Survey"]
 
@@ -50,6 +51,7 @@ class StereoSetup:
         rectified: the names of the topics state that the images are rectified already.
         findings: what went wrong during the survey.
         silent: by topic without messages, what to do about it.
+        bits: bit depth of the 16-bit images of ``pairs``; 0 where the images have 8 bits.
     """
 
     source: str
@@ -59,6 +61,7 @@ class StereoSetup:
     rectified: bool = False
     findings: Sequence[Finding] = ()
     silent: Mapping[str, str] = field(default_factory=dict)
+    bits: int = 0
 
 
 class Survey:
@@ -82,6 +85,7 @@ class Survey:
         self._stamps_ns: dict[str, list[int]] = {"left": [], "right": []}
         self._infos: dict[str, dict[bytes, bytes]] = {"left": {}, "right": {}}  # by what follows the stamp
         self._pairs: list[StereoPair] = []
+        self._depth = BitDepth()
         self.findings: list[Finding] = []
 
     @property
@@ -105,15 +109,23 @@ class Survey:
 
     def add_pair(self, left: bytes, right: bytes) -> None:
         """Both images of a pair to examine."""
-        frames = self._decode("left", left), self._decode("right", right)
-        if frames[0] is not None and frames[1] is not None:
-            self._pairs.append(StereoPair(frames[0], frames[1]))
+        topics = self._image_topics["left"], self._image_topics["right"]
+        try:
+            messages = (
+                self._deserialize(left, self._topics.image_type),
+                self._deserialize(right, self._topics.image_type),
+            )
+            self._pairs.append(decode_pair(*messages, topics, self._depth))
+        except MessageError:
+            self._examine_image("left", left)
+            self._examine_image("right", right)
 
     def setup(self, silent: Mapping[str, str] | None = None) -> StereoSetup:
         """The setup; ``silent`` as of :class:`StereoSetup`."""
         left, right = self._record("left"), self._record("right")
         pairs, rectified = self._pairs, self._topics.rectified
-        return StereoSetup(self._source, left, right, pairs, rectified, tuple(self.findings), silent or {})
+        findings, bits = tuple(self.findings), self._depth.bits
+        return StereoSetup(self._source, left, right, pairs, rectified, findings, silent or {}, bits)
 
     def _record(self, side: str) -> CameraRecord:
         infos = []
@@ -124,14 +136,13 @@ class Survey:
                 self._refuse(f"camera infos of {self._info_topics[side]}", error)
         return CameraRecord(self._image_topics[side], self._info_topics[side], self._stamps_ns[side], infos)
 
-    def _decode(self, side: str, data: bytes) -> Frame | None:
-        kind = "CompressedImage" if self._topics.compressed else "Image"
+    def _examine_image(self, side: str, data: bytes) -> None:
+        """A finding where the image cannot be decoded."""
         topic = self._image_topics[side]
         try:
-            return decode(self._deserialize(data, f"sensor_msgs/msg/{kind}"), topic)
+            decode(self._deserialize(data, self._topics.image_type), topic)
         except MessageError as error:
             self._refuse(f"images of {topic}", error)
-            return None
 
     def _refuse(self, check: str, error: MessageError) -> None:
         """The first error of a topic stands for all."""

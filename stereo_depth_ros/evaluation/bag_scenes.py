@@ -18,6 +18,7 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
+from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.disparity import matched_disparity
 from stereo_depth_ros.stages.rectification import Rectifier
@@ -46,6 +47,7 @@ class BagScenes:
         self._path = path
         self._types = RosbagsTypes()
         self._rectifiers = PerCalibration(self._types, lambda rig: (rig, Rectifier(rig)))
+        self._depth = BitDepth()
         with BagReader(path) as reader:
             if TRUTH_TOPIC not in reader.topics:
                 raise TopicError(
@@ -78,7 +80,7 @@ class BagScenes:
 
     def _load(self, pair: SerializedPair, image_type: str, truth: bytes) -> Scene:
         rig, rectifier = self._rectifiers.of(pair)
-        rectified = rectifier.rectify(pair.images(self._types, image_type))
+        rectified = rectifier.rectify(pair.images(self._types, image_type, rig, self._depth))
         truth_px = matched_disparity(self._types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
         if truth_px.shape == rectified.left.shape:  # make_scene refuses other sizes
             truth_px[~rectifier.left_source] = np.nan

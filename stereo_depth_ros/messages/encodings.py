@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from stereo_depth_ros.core.errors import ImageError, MessageError
 from stereo_depth_ros.core.types import U8
 
-__all__ = ["ENCODINGS", "StoredEncoding", "imdecode", "payload_dtype", "to_8_bit", "to_decoded"]
+__all__ = [
+    "ENCODINGS",
+    "StoredEncoding",
+    "imdecode",
+    "payload_dtype",
+    "to_decoded",
+    "to_gray_of_camera",
+    "without_alpha",
+]
 
 
 @dataclass(frozen=True)
@@ -25,7 +33,8 @@ class StoredEncoding:
         decoded: result of decoding: "mono8", "rgb8" or "bgr8".
         samples: samples per pixel of a row.
         sample_bytes: bytes per sample, 1 or 2.
-        cvt_code: cv2.cvtColor code of the conversion to ``decoded``, None if none is needed.
+        cvt_code: cv2.cvtColor code of the conversion of 8-bit samples to ``decoded``, None if none is needed.
+        gray_code: cv2.cvtColor code of the conversion to gray, None where gray is computed from ``decoded``.
         multiple: (height, width) of the block with all colors; image sizes are multiples of it.
         smallest: minimum height and width.
         payload_rows: payload rows per two image rows; above 2 if a chroma plane follows the luma plane.
@@ -35,32 +44,41 @@ class StoredEncoding:
     samples: int = 1
     sample_bytes: int = 1
     cvt_code: int | None = None
+    gray_code: int | None = None
     multiple: tuple[int, int] = (1, 1)
     smallest: int = 1
     payload_rows: int = 2
 
 
-def _bayer(cvt_code: int, sample_bytes: int) -> StoredEncoding:
+def _bayer(codes: tuple[int, int], sample_bytes: int) -> StoredEncoding:
     # OpenCV interpolates from neighbors; an image without interior pixels would be black.
-    return StoredEncoding("bgr8", 1, sample_bytes, cvt_code, smallest=3)
+    return StoredEncoding("bgr8", 1, sample_bytes, *codes, smallest=3)
 
 
-def _yuv422(cvt_code: int) -> StoredEncoding:
-    return StoredEncoding("bgr8", 2, 1, cvt_code, multiple=(1, 2))
+def _yuv422(cvt_code: int, gray_code: int) -> StoredEncoding:
+    return StoredEncoding("bgr8", 2, 1, cvt_code, gray_code, multiple=(1, 2))
 
 
 def _yuv420(cvt_code: int) -> StoredEncoding:
-    return StoredEncoding("bgr8", 1, 1, cvt_code, multiple=(2, 2), payload_rows=3)
+    return StoredEncoding("bgr8", 1, 1, cvt_code, cv2.COLOR_YUV2GRAY_420, multiple=(2, 2), payload_rows=3)
 
 
 # ROS names a mosaic by the first two pixels of the first two rows. The short names of OpenCV (BayerBG) start one row
 # and one column later, the long names (BayerRGGB) are those of ROS.
+#
+# Gray comes from the mosaic itself, as in cv_bridge: each pixel is rounded once, in half the time of gray from colors.
+# Over mosaics of eleven Middlebury pairs the pixels that are missing or wrong by more than 1 px went from 12.9 to
+# 12.3 % (sgm) and from 36.6 to 36.3 % (bm). Colors are bilinear, 0.1 ms for 640x480; edge-aware ones (_EA) are no
+# better. _VNG, the default of image_proc, has 3 dB less error for 25 times the time. Gray from it would give 11.7 %
+# (sgm) and 37.2 % (bm) for 4.6 ms a pair, and would not be the image_rect of image_proc.
 _BAYER_CODES = {
-    "bayer_rggb": cv2.COLOR_BayerRGGB2BGR,
-    "bayer_bggr": cv2.COLOR_BayerBGGR2BGR,
-    "bayer_gbrg": cv2.COLOR_BayerGBRG2BGR,
-    "bayer_grbg": cv2.COLOR_BayerGRBG2BGR,
+    "bayer_rggb": (cv2.COLOR_BayerRGGB2BGR, cv2.COLOR_BayerRGGB2GRAY),
+    "bayer_bggr": (cv2.COLOR_BayerBGGR2BGR, cv2.COLOR_BayerBGGR2GRAY),
+    "bayer_gbrg": (cv2.COLOR_BayerGBRG2BGR, cv2.COLOR_BayerGBRG2GRAY),
+    "bayer_grbg": (cv2.COLOR_BayerGRBG2BGR, cv2.COLOR_BayerGRBG2GRAY),
 }
+_UYVY = _yuv422(cv2.COLOR_YUV2BGR_UYVY, cv2.COLOR_YUV2GRAY_UYVY)
+_YUY2 = _yuv422(cv2.COLOR_YUV2BGR_YUY2, cv2.COLOR_YUV2GRAY_YUY2)
 
 ENCODINGS: dict[str, StoredEncoding] = {
     "mono8": StoredEncoding("mono8"),
@@ -70,14 +88,18 @@ ENCODINGS: dict[str, StoredEncoding] = {
     "rgb8": StoredEncoding("rgb8", 3),
     "bgr8": StoredEncoding("bgr8", 3),
     "8UC3": StoredEncoding("bgr8", 3),
-    "rgba8": StoredEncoding("rgb8", 4, 1, cv2.COLOR_RGBA2RGB),
-    "bgra8": StoredEncoding("bgr8", 4, 1, cv2.COLOR_BGRA2BGR),
-    **{f"{name}8": _bayer(code, 1) for name, code in _BAYER_CODES.items()},
-    **{f"{name}16": _bayer(code, 2) for name, code in _BAYER_CODES.items()},
-    "yuv422": _yuv422(cv2.COLOR_YUV2BGR_UYVY),
-    "uyvy": _yuv422(cv2.COLOR_YUV2BGR_UYVY),
-    "yuv422_yuy2": _yuv422(cv2.COLOR_YUV2BGR_YUY2),
-    "yuyv": _yuv422(cv2.COLOR_YUV2BGR_YUY2),
+    "rgba8": StoredEncoding("rgb8", 4),
+    "bgra8": StoredEncoding("bgr8", 4),
+    "rgb16": StoredEncoding("rgb8", 3, 2),
+    "bgr16": StoredEncoding("bgr8", 3, 2),
+    "rgba16": StoredEncoding("rgb8", 4, 2),
+    "bgra16": StoredEncoding("bgr8", 4, 2),
+    **{f"{name}8": _bayer(codes, 1) for name, codes in _BAYER_CODES.items()},
+    **{f"{name}16": _bayer(codes, 2) for name, codes in _BAYER_CODES.items()},
+    "yuv422": _UYVY,
+    "uyvy": _UYVY,
+    "yuv422_yuy2": _YUY2,
+    "yuyv": _YUY2,
     "nv12": _yuv420(cv2.COLOR_YUV2BGR_NV12),
     "nv21": _yuv420(cv2.COLOR_YUV2BGR_NV21),
 }
@@ -116,23 +138,21 @@ def payload_dtype(pixels: NDArray[Any], encoding: str) -> np.dtype[Any]:
     return dtype
 
 
-def to_8_bit(samples: NDArray[Any]) -> U8:
-    """uint8 of uint8 (unchanged) or native uint16 samples of any shape.
-
-    65535 becomes 255, as in cv_bridge: v * 255 / 65535, rounded. 10- or 12-bit data in 16 bits becomes dark; the driver
-    should publish it shifted to the upper bits.
-    """
-    if samples.dtype == np.uint8:
-        return samples
-    return np.asarray(cv2.convertScaleAbs(samples, alpha=255.0 / 65535.0), np.uint8)
+def without_alpha(samples: NDArray[Any]) -> NDArray[Any]:
+    """(H, W, 3) of (H, W, 4) samples, contiguous; other shapes are returned as is. The order of the colors is kept."""
+    if samples.ndim == 3 and samples.shape[2] == 4:
+        return np.asarray(cv2.cvtColor(samples, cv2.COLOR_BGRA2BGR))
+    return samples
 
 
-def to_decoded(samples: NDArray[Any], encoding: StoredEncoding) -> U8:
-    """uint8 (H, W) or (H, W, 3) pixels in ``encoding.decoded`` order of the stored samples."""
-    pixels = to_8_bit(samples)
-    if encoding.cvt_code is None:
-        return pixels
-    return np.asarray(cv2.cvtColor(pixels, encoding.cvt_code), np.uint8)
+def to_decoded(pixels: U8, encoding: StoredEncoding) -> U8:
+    """uint8 (H, W) or (H, W, 3) pixels in ``encoding.decoded`` order of 8-bit samples without alpha."""
+    return pixels if encoding.cvt_code is None else np.asarray(cv2.cvtColor(pixels, encoding.cvt_code), np.uint8)
+
+
+def to_gray_of_camera(pixels: U8, encoding: StoredEncoding) -> U8 | None:
+    """uint8 (H, W), gray of 8-bit samples of a mosaic or with a luma plane; None where gray is that of the colors."""
+    return None if encoding.gray_code is None else np.asarray(cv2.cvtColor(pixels, encoding.gray_code), np.uint8)
 
 
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"

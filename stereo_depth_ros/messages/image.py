@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
@@ -11,47 +14,123 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereo_depth_ros.core.errors import ConfigError, MessageError
-from stereo_depth_ros.core.types import U8, Frame
-from stereo_depth_ros.messages.encodings import ENCODINGS, StoredEncoding, imdecode, payload_dtype, to_8_bit, to_decoded
+from stereo_depth_ros.core.types import U8, Frame, StereoPair
+from stereo_depth_ros.messages.bit_depth import BitDepth
+from stereo_depth_ros.messages.encodings import (
+    ENCODINGS,
+    StoredEncoding,
+    imdecode,
+    payload_dtype,
+    to_decoded,
+    to_gray_of_camera,
+    without_alpha,
+)
+from stereo_depth_ros.messages.image_header import ImageHeader, read_header
 from stereo_depth_ros.messages.types import MessageTypes, make_header
 from stereo_depth_ros.messages.types import stamp_ns as stamp_of
 
-__all__ = ["compressed_message", "decode", "decode_compressed", "decode_image", "image_message"]
+__all__ = [
+    "MAX_PIXELS",
+    "compressed_message",
+    "decode",
+    "decode_compressed",
+    "decode_image",
+    "decode_pair",
+    "has_16_bit",
+    "image_message",
+    "image_size",
+]
+
+MAX_PIXELS = 2**26  # of a compressed image; the largest sensors of machine vision have 65 million
+# Deflate writes at most 1032 bytes for one (Gailly and Adler, zlib); the shortest jpeg has a bit for 64 pixels.
+_MAX_PIXELS_PER_BYTE = {"png": 1032, "jpeg": 512}
+
+_VIDEO = re.compile(r"(?P<H264>[hx]\.?264|avc)|(?P<H265>[hx]\.?265|hevc)|(?P<AV1>av1)|(?P<VP9>vp9)", re.IGNORECASE)
 
 
-def decode(msg: Any, topic: str = "") -> Frame:
+def decode(msg: Any, topic: str = "", depth: BitDepth | None = None) -> Frame:
     """The frame of a sensor_msgs/Image or sensor_msgs/CompressedImage, distinguished by their fields.
 
     Args:
         msg: the message, of any family.
         topic: its topic, for error messages.
+        depth: of the stream, grows with the image; None is that of this image alone. Only 16-bit images have it.
 
     Raises:
         MessageError: neither of the two, or as :func:`decode_image` and :func:`decode_compressed`.
     """
-    if hasattr(msg, "encoding"):
-        return decode_image(msg, topic=topic)
-    if hasattr(msg, "format"):
-        return decode_compressed(msg, topic=topic)
-    raise MessageError(
-        f"is a {type(msg).__name__} without field 'encoding' or 'format'",
-        subject=_subject(topic),
-        value=type(msg).__name__,
-        limit=("encoding", "format"),
-        remedy="use a topic of type sensor_msgs/Image or sensor_msgs/CompressedImage",
-    )
+    return _decode_all(((msg, topic),), depth)[0]
+
+
+def decode_pair(left: Any, right: Any, topics: tuple[str, str], depth: BitDepth | None = None) -> StereoPair:
+    """Both frames of a pair, as :func:`decode` with one bit depth for the two."""
+    return StereoPair(*_decode_all(zip((left, right), topics, strict=True), depth))
 
 
 def decode_image(msg: Any, *, topic: str = "") -> Frame:
     """The frame of a sensor_msgs/Image.
 
-    Pixels are read-only. Unpadded mono8, rgb8 and bgr8 are a view on ``msg.data``, all others are copies:
-    rgba8 becomes rgb8, other color bgr8, 16 bit is scaled to 8 (65535 becomes 255).
+    Pixels are read-only. Unpadded mono8, rgb8 and bgr8 are a view on ``msg.data``, all others are copies: rgba8 becomes
+    rgb8, other color bgr8, 16 bit is scaled to 8 by the bit depth, see :class:`BitDepth`.
 
     Raises:
         MessageError: unknown encoding, zero or impossible size, ``step`` below a row, or a payload that is not
             ``step * height`` bytes (including padding of the last row, as in cv_bridge).
     """
+    return decode(msg, topic)
+
+
+def image_size(msg: Any, topic: str = "") -> tuple[int, int]:
+    """Width and height in pixels of an image that is not decoded; raises as :func:`decode`, but for damaged pixels."""
+    _check_fields(msg, topic)
+    if hasattr(msg, "encoding"):
+        _checked_encoding(msg, topic)
+        return msg.width, msg.height
+    header = _checked_header(msg, bytes(msg.data), topic)
+    return header.width, header.height
+
+
+def has_16_bit(msg: Any) -> bool:
+    """Whether the samples of an image have a bit depth; false where it cannot be decoded."""
+    if hasattr(msg, "encoding"):
+        return msg.encoding in ENCODINGS and ENCODINGS[msg.encoding].sample_bytes == 2
+    header = read_header(bytes(msg.data))
+    return header is not None and header.bits > 8
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """An image before its samples are scaled: uint8 or native uint16, without alpha."""
+
+    header: Any
+    samples: NDArray[Any]
+    encoding: StoredEncoding
+
+
+def _decode_all(messages: Iterable[tuple[Any, str]], depth: BitDepth | None) -> list[Frame]:
+    depth = depth or BitDepth()
+    images = [_read(msg, topic) for msg, topic in messages]
+    depth.include(*(image.samples for image in images))
+    return [_frame(image, depth) for image in images]
+
+
+def _read(msg: Any, topic: str) -> _Stored:
+    _check_fields(msg, topic)
+    return _read_image(msg, topic) if hasattr(msg, "encoding") else _read_compressed(msg, topic)
+
+
+def _check_fields(msg: Any, topic: str) -> None:
+    if not hasattr(msg, "encoding") and not hasattr(msg, "format"):
+        raise MessageError(
+            f"is a {type(msg).__name__} without field 'encoding' or 'format'",
+            subject=_subject(topic),
+            value=type(msg).__name__,
+            limit=("encoding", "format"),
+            remedy="use a topic of type sensor_msgs/Image or sensor_msgs/CompressedImage",
+        )
+
+
+def _read_image(msg: Any, topic: str) -> _Stored:
     encoding = _checked_encoding(msg, topic)
     rows = msg.height * encoding.payload_rows // 2
     row_bytes = msg.width * encoding.samples * encoding.sample_bytes
@@ -62,7 +141,7 @@ def decode_image(msg: Any, *, topic: str = "") -> Frame:
         samples = samples.reshape(rows, msg.width, encoding.samples)
     # Native contiguous layout, which the compiled kernels require.
     samples = np.require(samples, samples.dtype.newbyteorder("="), ["C", "A"])
-    return _frame(msg.header, to_decoded(samples, encoding), encoding.decoded)
+    return _Stored(msg.header, without_alpha(samples), encoding)
 
 
 def _checked_encoding(msg: Any, topic: str) -> StoredEncoding:
@@ -70,6 +149,7 @@ def _checked_encoding(msg: Any, topic: str) -> StoredEncoding:
     subject = _subject(topic)
     encoding = ENCODINGS.get(msg.encoding)
     if encoding is None:
+        _refuse_video(msg.encoding, f"encoding = {msg.encoding!r}", subject)
         raise MessageError(
             f"encoding = {msg.encoding!r} is not supported",
             subject=subject,
@@ -117,9 +197,32 @@ def decode_compressed(msg: Any, *, topic: str = "") -> Frame:
     copy.
 
     Raises:
-        MessageError: compressedDepth, or data that is empty, truncated, damaged or of another format.
+        MessageError: video, compressedDepth, a header that declares more than :data:`MAX_PIXELS` or more than the data
+            can hold, or data that are empty, truncated, damaged or of another format.
     """
+    return decode(msg, topic)
+
+
+def _read_compressed(msg: Any, topic: str) -> _Stored:
+    content = bytes(msg.data)
+    _checked_header(msg, content, topic)  # before memory for the declared size is allocated
+    stored = imdecode(content)
+    if stored is None:
+        raise _damaged(msg, content, topic)
+    return _Stored(msg.header, without_alpha(stored), _compressed_encoding(msg.format, stored.ndim))
+
+
+def _compressed_encoding(format: str, ndim: int) -> StoredEncoding:
+    if ndim == 3:
+        return ENCODINGS["rgb8" if "compressed rgb" in format else "bgr8"]
+    source = format.partition(";")[0].strip()
+    return ENCODINGS[source if source.startswith("bayer_") and source in ENCODINGS else "mono8"]
+
+
+def _checked_header(msg: Any, content: bytes, topic: str) -> ImageHeader:
+    """The header of a compressed image, after a check of format and size; no pixel is read."""
     subject = _subject(topic)
+    _refuse_video(msg.format, f"data of {len(content)} bytes with format {msg.format!r}", subject)
     if "compressedDepth" in msg.format:
         raise MessageError(
             f"format = {msg.format!r} is a depth image, jpeg or png of a camera is expected",
@@ -128,30 +231,52 @@ def decode_compressed(msg: Any, *, topic: str = "") -> Frame:
             limit=("jpeg", "png"),
             remedy="use the topic that ends in /compressed",
         )
-    stored = imdecode(msg.data)
-    if stored is None:
+    header = read_header(content)
+    if header is None:
+        raise _damaged(msg, content, topic)
+    possible = len(content) * _MAX_PIXELS_PER_BYTE.get(header.format, MAX_PIXELS)
+    limit = min(MAX_PIXELS, possible)
+    if header.width * header.height > limit:
+        what = "the limit of a compressed image" if limit == MAX_PIXELS else f"the most in {len(content)} bytes"
         raise MessageError(
-            f"data of {memoryview(msg.data).nbytes} bytes with format {msg.format!r} is not a complete jpeg or png of "
-            "8 or 16 bit",
+            f"the header of the {header.format} declares {header.width}x{header.height} px, {limit} px are {what}",
             subject=subject,
-            value=msg.format,
-            limit=("jpeg", "png"),
-            remedy="check the format of the publisher, and the recording",
+            value=(header.width, header.height),
+            limit=limit,
+            remedy="check the publisher and the recording, the message is damaged or not from a camera",
         )
-    pixels = to_8_bit(stored)
-    if pixels.ndim == 2:
-        source = msg.format.partition(";")[0].strip()
-        encoding = ENCODINGS[source if source.startswith("bayer_") and source in ENCODINGS else "mono8"]
-        return _frame(msg.header, to_decoded(pixels, encoding), encoding.decoded)
-    if pixels.shape[2] == 4:
-        pixels = to_decoded(pixels, ENCODINGS["bgra8"])
-    return _frame(msg.header, pixels, "rgb8" if "compressed rgb" in msg.format else "bgr8")
+    return header
 
 
-def _frame(header: Any, pixels: U8, encoding: str) -> Frame:
+def _damaged(msg: Any, content: bytes, topic: str) -> MessageError:
+    return MessageError(
+        f"data of {len(content)} bytes with format {msg.format!r} is not a complete jpeg or png of 8 or 16 bit",
+        subject=_subject(topic),
+        value=msg.format,
+        limit=("jpeg", "png"),
+        remedy="check the format of the publisher, and the recording",
+    )
+
+
+def _refuse_video(name: str, what: str, subject: str) -> None:
+    """Raise MessageError where an encoding or format names a video codec."""
+    if found := _VIDEO.search(name):
+        codec = {"H264": "H.264", "H265": "H.265"}.get(found.lastgroup or "", found.lastgroup)
+        raise MessageError(
+            f"{what} is {codec} video, whose images need those before them",
+            subject=subject,
+            value=name,
+            limit=("raw", "jpeg", "png"),
+            remedy="use the raw or compressed topic, or decode it by ros2 run image_transport republish",
+        )
+
+
+def _frame(image: _Stored, depth: BitDepth) -> Frame:
+    samples = depth.to_8_bit(image.samples)
+    pixels, gray = to_decoded(samples, image.encoding), to_gray_of_camera(samples, image.encoding)
     # Views on a message must not be written to, live or offline.
     pixels.setflags(write=False)
-    return Frame(pixels, stamp_of(header), header.frame_id, encoding)
+    return Frame(pixels, stamp_of(image.header), image.header.frame_id, image.encoding.decoded, gray)
 
 
 def _subject(topic: str) -> str:

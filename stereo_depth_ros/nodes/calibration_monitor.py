@@ -25,7 +25,7 @@ from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput, info_contents
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
 from stereo_depth_ros.nodes.message_types import message_class
-from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
+from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
 
 __all__ = ["CalibrationMonitor", "main"]
@@ -72,9 +72,9 @@ class CalibrationMonitor(StereoNode):
         self._row_error = self.add_output("health/row_error")
         self._watch: _Watch | None = None
         self._examined_ns = -math.inf
-        pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
-        self.add_input("left/image_rect", pairs.add_left)
-        self.add_input("right/image_rect", pairs.add_right)
+        self._pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
+        self.add_input("left/image_rect", self._pairs.add_left)
+        self.add_input("right/image_rect", self._pairs.add_right)
         if self._config.auto_correct:
             self._corrected = self.add_output("right/camera_info_corrected")
             correction = "health/correction"
@@ -90,9 +90,9 @@ class CalibrationMonitor(StereoNode):
             self._calibration.with_rig(lambda rig: self._examine(left, right, rig))
 
     def _examine(self, left: Any, right: Any, rig: StereoRig) -> None:
-        frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
+        pair = self._pairs.decode(left, right, rig)
         with self.diagnostics.timed("match rows"):
-            matches = match_rows(to_gray(frames[0]), to_gray(frames[1]))
+            matches = match_rows(to_gray(pair.left), to_gray(pair.right))
         if self._watch is None or self._watch.rig is not rig:
             self._watch = _Watch(rig, self._calibration.right_contents, self._config)
             self._publish_correction(left.header.stamp)

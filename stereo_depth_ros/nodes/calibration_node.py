@@ -31,7 +31,7 @@ from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.interface import RAW_IMAGES, NodeInterface
 from stereo_depth_ros.nodes.message_types import message_class
-from stereo_depth_ros.nodes.pair_input import PairInput, decode_from
+from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.plots.coverage import coverage_plot
@@ -81,9 +81,9 @@ class CalibrationNode(StereoNode):
         self._live = LiveCalibration(board, config.lens_model, config.max_board_motion)
         self._lock = threading.Lock()  # of the live calibration
         self._overlay = self.add_output("calibration/image")
-        pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
-        self.add_input("left/image_raw", pairs.add_left)
-        self.add_input("right/image_raw", pairs.add_right)
+        self._pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
+        self.add_input("left/image_raw", self._pairs.add_left)
+        self.add_input("right/image_raw", self._pairs.add_right)
         for name, msgtype in self.interface.services.items():
             act = {"~/calibrate": self._calibrate, "~/save": self._save, "~/commit": self._commit}[name]
             self.create_service(message_class(msgtype), name, self._service(act))
@@ -119,10 +119,8 @@ class CalibrationNode(StereoNode):
                 self._look(*pair)
 
     def _look(self, left: Any, right: Any) -> None:
-        frames = [
-            decode_from(self, f"{side}/image_raw", message) for side, message in (("left", left), ("right", right))
-        ]
-        grays = [to_gray(frame) for frame in frames]
+        pair = self._pairs.decode(left, right)
+        grays = to_gray(pair.left), to_gray(pair.right)
         with self._lock, self.diagnostics.timed("detect the board"):
             self._live.max_motion_px = self.parameters.get(CalibrationConfig).max_board_motion
             look = self._live.add(f"{stamp_ns(left.header) / 1e9:.3f} s", *grays)
@@ -131,7 +129,7 @@ class CalibrationNode(StereoNode):
                 advice = "; ".join(self._live.advice) or "enough views: call ~/calibrate"
                 self.get_logger().info(f"view {len(self._live.views)} taken; {advice}")
             if self._overlay.wanted:
-                self._publish_overlay(frames[0], grays[0], look)
+                self._publish_overlay(pair.left, grays[0], look)
 
     def _publish_overlay(self, frame: Frame, gray: U8, look: ViewStatus) -> None:
         live = self._live

@@ -15,7 +15,7 @@ from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
-from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
+from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.disparity import DisparityStage
 from stereo_depth_ros.stages.rectification import Rectifier
@@ -42,19 +42,19 @@ class DisparityNode(StereoNode):
         self._stage = functools.lru_cache(maxsize=1)(DisparityStage)
         self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("disparity")
-        pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
-        self.add_input("left/image_rect", pairs.add_left)
-        self.add_input("right/image_rect", pairs.add_right)
+        self._pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
+        self.add_input("left/image_rect", self._pairs.add_left)
+        self.add_input("right/image_rect", self._pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
         self._calibration.with_rig(lambda rig: self._match(left, right, rig))
 
     def _match(self, left: Any, right: Any, rig: StereoRig) -> None:
         config = self.parameters.get(MatchingConfig)
-        frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
+        pair = self._pairs.decode(left, right, rig)
         with self.diagnostics.timed("match"):
-            match = self._stage(config, self._rectifier(rig)).match(to_gray(frames[0]), to_gray(frames[1]))
-        self._output.publish(match_message(self.types, self._pool, match, config, rig, frames[0]))
+            match = self._stage(config, self._rectifier(rig)).match(to_gray(pair.left), to_gray(pair.right))
+        self._output.publish(match_message(self.types, self._pool, match, config, rig, pair.left))
 
 
 def main() -> int:

@@ -15,7 +15,7 @@ from stereo_depth_ros.messages.point_cloud import sparse_cloud_message
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
-from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
+from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.features import FeatureStage
 from stereo_depth_ros.stages.point_cloud import CloudLayout
@@ -42,22 +42,22 @@ class FeatureNode(StereoNode):
         self._stage = functools.lru_cache(maxsize=1)(FeatureStage)
         self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("features/points2")
-        pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
-        self.add_input("left/image_rect", pairs.add_left)
-        self.add_input("right/image_rect", pairs.add_right)
+        self._pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
+        self.add_input("left/image_rect", self._pairs.add_left)
+        self.add_input("right/image_rect", self._pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
         self._calibration.with_rig(lambda rig: self._publish(left, right, rig))
 
     def _publish(self, left: Any, right: Any, rig: StereoRig) -> None:
         config = self.parameters.get(MatchingConfig)
-        frames = [decode_side(self, e, f"{e}/image_rect", m, rig) for e, m in (("left", left), ("right", right))]
+        pair = self._pairs.decode(left, right, rig)
         with self.diagnostics.timed("match"):
-            matches = self._stage(config, self._rectifier(rig)).find(to_gray(frames[0]), to_gray(frames[1]))
+            matches = self._stage(config, self._rectifier(rig)).find(to_gray(pair.left), to_gray(pair.right))
         points_m = matches.points_m(Triangulation.from_rig(rig))
         layout = CloudLayout.of(self.parameters.get(CloudConfig))
-        stamp_ns, frame_id = frames[0].stamp_ns, frames[0].frame_id
-        rgb = matches.colors(frames[0])
+        stamp_ns, frame_id = pair.left.stamp_ns, pair.left.frame_id
+        rgb = matches.colors(pair.left)
         self._output.publish(
             sparse_cloud_message(self.types, points_m, rgb, layout, stamp_ns=stamp_ns, frame_id=frame_id)
         )

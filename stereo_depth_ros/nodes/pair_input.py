@@ -14,8 +14,9 @@ import numpy as np
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import Frame
-from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.core.types import Frame, StereoPair
+from stereo_depth_ros.messages.bit_depth import BitDepth
+from stereo_depth_ros.messages.image import decode, decode_pair, image_size
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 
@@ -45,7 +46,7 @@ class PairInput:
         self._unpaired_at_start, self._excused = [0, 0], [0, 0]
         for side, topic in enumerate(self._topics):
             node.diagnostics.watch_loss(f"unpaired {topic}", functools.partial(self._lost, side), self._cause_of_loss)
-        # The stream may have restarted while the node was idle: its stamps may be earlier than before.
+        self._depth = BitDepth()
         node.on_idle.append(self._restart)
 
     def add_left(self, message: Any) -> None:
@@ -77,7 +78,9 @@ class PairInput:
         return f"stamps of {names} are {offset_ns / 1e6:.3f} ms apart, the tolerance is {limit_ns / 1e6:g} ms: {remedy}"
 
     def _restart(self) -> None:
+        """While the node was idle its stream may have started again, with earlier stamps, and the cameras changed."""
         self._pairing.flush()
+        self._depth = BitDepth()
         self._excused = [before + self._few(side) for side, before in enumerate(self._excused)]
         self._unpaired_at_start = [0, 0]
         self._is_starting = True
@@ -88,6 +91,23 @@ class PairInput:
     def _lost(self, side: int) -> int:
         """Unpaired messages of a side, but for the first few of every start."""
         return self._node.diagnostics.counters[f"unpaired {self._topics[side]}"] - self._excused[side] - self._few(side)
+
+    def decode(self, left: Any, right: Any, rig: StereoRig | None = None) -> StereoPair:
+        """The frames of a pair, which come in the order of the pairs; all 16-bit images have one bit depth.
+
+        Args:
+            left, right: Image or CompressedImage.
+            rig: the cameras; None checks nothing.
+
+        Raises:
+            MessageError: an image that cannot be decoded, with its topic.
+            CalibrationError: the camera infos are those of the other camera, or of another size; nothing is decoded.
+        """
+        resolved = self._node.resolve_topic_name(self._topics[0]), self._node.resolve_topic_name(self._topics[1])
+        if rig is not None:
+            for side, message, topic in zip(("left", "right"), (left, right), resolved, strict=True):
+                _check(rig, side, message, topic)
+        return decode_pair(left, right, resolved, self._depth)
 
     def _deliver(self, pairs: list[tuple[Any, Any]]) -> None:
         self._count()
@@ -114,15 +134,18 @@ class PairInput:
             )
 
 
-def decode_from(node: StereoNode, topic: str, message: Any) -> Frame:
+def _check(rig: StereoRig, side: str, message: Any, topic: str) -> None:
+    size = image_size(message, topic)
+    rig.check_side(side, message.header.frame_id, topic)
+    rig.check_image(*size, topic)
+
+
+def decode_from(node: StereoNode, topic: str, message: Any, depth: BitDepth | None = None) -> Frame:
     """The frame in an Image or CompressedImage; MessageError with the resolved topic."""
-    return decode(message, node.resolve_topic_name(topic))
+    return decode(message, node.resolve_topic_name(topic), depth)
 
 
 def decode_side(node: StereoNode, side: str, topic: str, message: Any, rig: StereoRig) -> Frame:
     """The frame of a camera ("left" or "right"); CalibrationError where the camera infos differ."""
-    frame = decode_from(node, topic, message)
-    resolved = node.resolve_topic_name(topic)
-    rig.check_side(side, frame.frame_id, resolved)
-    rig.check_image(frame.pixels.shape[1], frame.pixels.shape[0], resolved)
-    return frame
+    _check(rig, side, message, node.resolve_topic_name(topic))
+    return decode_from(node, topic, message)

@@ -8,6 +8,7 @@ from typing import Any
 
 from stereo_depth_ros.config import CloudConfig, PairingConfig
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.disparity import published_disparity, published_triangulation
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.messages.point_cloud import cloud_message
@@ -39,6 +40,7 @@ class PointCloudNode(StereoNode):
         self._pool = PayloadPool(self.types)
         self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("points2")
+        self._depth = BitDepth()
         self._pairs = PairInput(self, "disparity", _COLOR, self._on_pair)
         self.add_input("disparity", self._receive)
         self.add_input(_COLOR, self._pairs.add_right, wanted=lambda: self._config.use_color)
@@ -60,7 +62,7 @@ class PointCloudNode(StereoNode):
         layout, topic = CloudLayout.of(self._config), self.resolve_topic_name("disparity")
         if image is None and layout.rgb_offset is not None:
             return  # use_color was switched on meanwhile
-        color = None if image is None else decode_from(self, _COLOR, image)
+        color = None if image is None else decode_from(self, _COLOR, image, self._depth)
         with self.diagnostics.timed("cloud"):
             disparity_px = published_disparity(disparity, topic)
             message = cloud_message(

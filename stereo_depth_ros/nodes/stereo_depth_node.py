@@ -9,11 +9,10 @@ from typing import Any
 
 from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, PairingConfig, PipelineConfig
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
-from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
+from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline
@@ -39,16 +38,16 @@ class StereoDepthNode(StereoNode):
         self._messages = ResultMessages(self.types)
         self._calibration = CalibrationInput(self)
         self._results = [(self.add_output(row.topic), row.topic, row.build) for row in OUTPUTS]
-        pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
-        self.add_input("left/image_raw", pairs.add_left)
-        self.add_input("right/image_raw", pairs.add_right)
+        self._pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
+        self.add_input("left/image_raw", self._pairs.add_left)
+        self.add_input("right/image_raw", self._pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
         self._calibration.with_rig(lambda rig: self._process(left, right, rig))
 
     def _process(self, left: Any, right: Any, rig: StereoRig) -> None:
-        frames = [decode_side(self, e, f"{e}/image_raw", m, rig) for e, m in (("left", left), ("right", right))]
-        result = self._pipeline_of(rig).process(StereoPair(*frames))
+        pair = self._pairs.decode(left, right, rig)
+        result = self._pipeline_of(rig).process(pair)
         for output, topic, build in self._results:
             if output.wanted:
                 start = time.perf_counter()

@@ -19,6 +19,7 @@ from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import BagError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.evaluation.bag_score import score_disparity
+from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import stamp_text
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
@@ -103,12 +104,13 @@ class _Engine:
         self._types = RosbagsTypes()
         self._messages = ResultMessages(self._types)
         self._pipelines = PerCalibration(self._types, lambda rig: StereoPipeline(config, rig))
+        self._depth = BitDepth()
         self.rig: StereoRig | None = None  # of the last pair
 
     def process(self, pair: SerializedPair, image_type: str, writer: BagWriter) -> dict[str, float]:
         """Compute a pair and write its messages; returns milliseconds per stage."""
-        images = pair.images(self._types, image_type)
-        result = self._pipelines.of(pair).process(images)
+        pipeline = self._pipelines.of(pair)
+        result = pipeline.process(pair.images(self._types, image_type, pipeline.rig, self._depth))
         self.rig = result.calibrated_rig
         writer.write_raw("/left/camera_info", INFO_TYPE, pair.left_info, pair.stamp_ns)
         writer.write_raw("/right/camera_info", INFO_TYPE, pair.right_info, pair.right_stamp_ns)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the images as published: empty, black, saturated, or the same image twice."""
+"""Checks of the images as published: bit depth, empty, black, saturated, or the same image twice."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 
-__all__ = ["check_exposure", "check_two_cameras"]
+__all__ = ["check_bit_depth", "check_exposure", "check_two_cameras"]
 
 BLACK, WHITE = 16, 250  # gray values; noise and stray light stay below, a saturated sensor above
 MAX_WHITE, ALL_WHITE = 0.2, 0.9  # share of pixels
@@ -41,6 +41,15 @@ def check_exposure(images: Sequence[U8], side: str) -> Finding:
         level, remedy = Level.WARNING, "saturated pixels do not match: reduce the exposure"
     figures = {"mean": mean, "contrast": contrast, "saturated": white}
     return Finding(f"{side} image", level, value, limit, remedy, figures)
+
+
+def check_bit_depth(bits: int) -> Finding:
+    """Whether 16-bit images, which are scaled by the depth found, have more bits than 8-bit ones."""
+    check, value, limit = "bit depth", f"{bits} bit in 16-bit samples", "more than 8 bit"
+    if bits > 8:
+        return Finding(check, Level.OK, value, limit, "", {"bits": bits})
+    remedy = "no pixel is above 255: remove the lens cap and expose longer, or publish mono8 if the camera has 8 bits"
+    return Finding(check, Level.WARNING, value, limit, remedy, {"bits": bits})
 
 
 def check_two_cameras(left: Sequence[U8], right: Sequence[U8]) -> Finding:
