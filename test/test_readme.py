@@ -23,6 +23,7 @@ from command_line import CommandLine
 from documents import BLOCKS, DOCUMENTS, ROOT, Block, Call, make_inputs, output_after, read, setup_value
 from stereo_bags import messages_of
 from test_config import WIDER
+from test_dependencies import ROSDEP_KEYS
 
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
@@ -38,6 +39,7 @@ PARAMETERS: Mapping[str, ParameterInfo] = {
 NOT_RUN = {
     "make ": "minutes, and downloads; the targets exist and `make --dry-run` accepts them",
     "cd ": "a workspace of ROS; test_packaging builds one",
+    "rosdep install": "changes the system; test_dependencies compares the keys of package.xml with setup.py",
     "git clone": "downloads; the address is a placeholder",
     "pip install --break-system-packages": "changes the system; the packages are those of setup.py",
     "colcon build": "a workspace of ROS; test_packaging builds one",
@@ -237,9 +239,9 @@ def test_make_targets_run_what_the_documents_state(target: str) -> None:
 
 
 @pytest.mark.parametrize("call", calls("pip install"))
-def test_packages_to_install_are_those_of_the_setup_that_ros_lacks(call: Call) -> None:
-    required = {requirement.partition(">=")[0] for requirement in setup_value("REQUIREMENTS")}
-    assert sorted(call.words[3:]) == sorted(required - {"numpy", "opencv-python-headless", "shellingham"})  # with typer
+def test_packages_to_install_are_those_of_the_setup_that_rosdep_lacks(call: Call) -> None:
+    without_key = {name for name, key in ROSDEP_KEYS.items() if not key}
+    assert sorted(call.words[3:]) == sorted(without_key - {"shellingham"})  # which comes with typer
 
 
 @pytest.mark.parametrize("call", calls("ros2 launch"))
