@@ -26,6 +26,7 @@ class Completeness:
         self.files: set[Path] = set()
         self.markers: dict[str, set[str]] = {}
         self.ran: set[str] = set()
+        self.graph_processes: set[str] = set()
         self.skipped: set[str] = set()
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -36,6 +37,8 @@ class Completeness:
             self.skipped.add(report.nodeid)
         elif report.when == "call":
             self.ran.add(report.nodeid)
+            if "graph" in self.markers[report.nodeid]:
+                self.graph_processes.add(getattr(report, "worker_id", ""))
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -54,6 +57,8 @@ class Completeness:
         lines += [f"{test}: skipped" for test in self.skipped if self._must_run(self.markers.get(test, set()))]
         if not any("graph" in self.markers.get(test, set()) for test in self.ran):
             lines.append("no test marked graph ran")
+        if len(self.graph_processes) > 1:
+            lines.append(f"tests marked graph ran in {len(self.graph_processes)} processes at once")
         return sorted(lines)
 
     def _must_run(self, markers: set[str]) -> bool:

@@ -15,6 +15,7 @@ from command_line import CommandLine, Run
 from stereo_depth_ros.cli import main as cli
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Of several processes, one runs all tests of the graph, so that no two graphs compete; files stay together."""
     for item in items:

@@ -58,6 +58,13 @@ def test_incomplete_run_fails(tmp_path: Path, files: dict[str, str], line: str, 
     assert " passed" in output.splitlines()[-1], "pytest's closing line comes last"
 
 
+def test_graphs_beside_each_other_fail(tmp_path: Path) -> None:
+    slow = "import time\n" + GRAPH.replace("pass", "time.sleep(0.5)")
+    code, output = run(tmp_path, "-n", "2", **{f"test_{name}": slow for name in "abcd"})
+    assert code == 1, output
+    assert "INCOMPLETE tests marked graph ran in 2 processes at once" in output
+
+
 def test_skipped_real_data_fails_where_the_data_is(tmp_path: Path) -> None:
     code, output = run(tmp_path, data=tmp_path, test_a=GRAPH, test_b=DATA_SKIPPED)
     assert code == 1, output
