@@ -23,7 +23,7 @@ demo: $(VENV)/demo ## play the sample bag through the live graph; prints a table
 	$(BIN)/stereo-depth demo --overwrite
 
 test: $(VENV)/test ## run every test; those of the graph one after the other, the others beside them
-	$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
 
 lint: $(VENV)/lint ## check style and types
 	$(BIN)/ruff check .

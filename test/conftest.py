@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+import ast
+import functools
 import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import CommandLine, Run
@@ -15,13 +18,38 @@ from command_line import CommandLine, Run
 from stereo_depth_ros.cli import main as cli
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The tests of the graph first: with several processes they take longest."""
+    items.sort(key=lambda item: item.get_closest_marker("graph") is None)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Of several processes, one runs all tests of the graph, so that no two graphs compete; files stay together."""
-    for item in items:
-        graph = item.get_closest_marker("graph") is not None
-        item.add_marker(pytest.mark.xdist_group("graph" if graph else item.path.name))
-    items.sort(key=lambda item: item.get_closest_marker("graph") is None)  # the longest group first
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file, _, test = nodeid.partition("::")
+            of_graph = _tests_of_graph(config.rootpath / file)
+            return "graph" if of_graph is None or test.partition("[")[0] in of_graph else file
+
+    return Scheduling(config, log)
+
+
+@functools.cache
+def _tests_of_graph(path: Path) -> frozenset[str] | None:
+    """Names of the tests of a file that are marked graph; None where the file or the parameters of a test are.
+
+    The markers themselves are known only in the processes that run the tests.
+    """
+    marked = set()
+    for node in ast.parse(path.read_text("utf-8")).body:
+        if any(isinstance(n, ast.Attribute) and ast.unparse(n) == "pytest.mark.graph" for n in ast.walk(node)):
+            if not (isinstance(node, ast.FunctionDef) and node.name.startswith("test_")):
+                return None
+            marked.add(node.name)
+    return frozenset(marked)
 
 
 @pytest.fixture(scope="session")
