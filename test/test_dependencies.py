@@ -27,10 +27,11 @@ DISTRIBUTIONS = {
     "cv2": "opencv-python-headless",
     "maxflow": "PyMaxflow",
     "ruamel": "ruamel.yaml",
+    "xdist": "pytest-xdist",
     "yaml": "PyYAML",
 }
 # run as programs
-PROGRAMS = {"colcon-common-extensions", "mypy", "pytest-xdist", "ruff"}
+PROGRAMS = {"colcon-common-extensions", "mypy", "ruff"}
 # The key of each requirement in rosdep's python.yaml; empty where it has none for Ubuntu, only one that installs with
 # pip (which a released package must not use), or one of a version that is too old: these are installed with pip.
 ROSDEP_KEYS = {
