@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs follow the QoS of their publishers; what is lost or has no partner is counted, and said with its cause."""
+"""Inputs become reliable after a loss; what is lost or has no partner is counted, and said with its cause."""
 
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -35,8 +36,15 @@ def input_qos(graph: Graph, topic: str) -> list[tuple[str, str]]:
     return [(profile.reliability.name, profile.durability.name) for profile in found]
 
 
+def lose_one(graph: Graph, *topics: str) -> None:
+    """What DDS reports when a message is lost."""
+    for item in graph.nodes[0]._inputs:
+        if item.topic in topics:
+            item._on_lost(SimpleNamespace(total_count_change=1))
+
+
 @pytest.mark.parametrize("camera_first", [True, False])
-def test_inputs_follow_the_publishers(camera_first: bool) -> None:
+def test_inputs_are_reliable_after_a_loss_where_their_publishers_are(camera_first: bool) -> None:
     topics = {LEFT: Image, RIGHT: Image, LEFT_INFO: CameraInfo, RIGHT_INFO: CameraInfo}
     with Graph(StereoDepthNode, parameters=SMALL) as graph:
         if not camera_first:
@@ -46,30 +54,28 @@ def test_inputs_follow_the_publishers(camera_first: bool) -> None:
             graph.advertise(topic, kind)
         if camera_first:
             graph.listen("disparity", DisparityImage)
-        for topic, kind in topics.items():
-            expected = [("RELIABLE" if kind is Image else "BEST_EFFORT", "VOLATILE")]
-            graph.wait(lambda t=topic, e=expected: input_qos(graph, t) == e, f"subscription of {topic}: {expected}")
+        best_effort, reliable = [("BEST_EFFORT", "VOLATILE")], [("RELIABLE", "VOLATILE")]
+        for topic in topics:
+            graph.wait(lambda t=topic: input_qos(graph, t) == best_effort, f"best-effort subscription of {topic}")
+        lose_one(graph, LEFT, LEFT_INFO)
+        graph.wait(lambda: input_qos(graph, LEFT) == reliable, "reliable subscription after a loss")
+        assert [input_qos(graph, topic) for topic in (RIGHT, LEFT_INFO)] == [best_effort, best_effort]
         graph.withdraw(LEFT)
         graph.advertise(LEFT, Image, reliable=False)
-        expected = [("BEST_EFFORT", "VOLATILE")]
-        graph.wait(lambda: input_qos(graph, LEFT) == expected, "best-effort subscription")
-        assert input_qos(graph, RIGHT) == [("RELIABLE", "VOLATILE")]
+        graph.wait(lambda: input_qos(graph, LEFT) == best_effort, "best-effort subscription of a best-effort publisher")
+        assert graph.counter("lost left/image_raw") == 1
         assert not graph.errors(".")
 
 
 def test_a_subscription_that_changes_its_qos_loses_and_repeats_nothing(camera: StereoCamera) -> None:
     with Graph(StereoDepthNode, parameters=SMALL) as graph:
         received = graph.listen("disparity", DisparityImage, depth=100)
-        for topic, kind in ((LEFT, Image), (RIGHT, Image), (LEFT_INFO, CameraInfo), (RIGHT_INFO, CameraInfo)):
-            graph.advertise(topic, kind, reliable=False)
         graph.send(camera.infos(FIRST_NS))
         sent = 0
         while input_qos(graph, LEFT) != [("RELIABLE", "VOLATILE")]:
             assert sent < 100, "the subscription has not changed within 100 pairs"
-            if sent == 5:  # the same publishers, now reliable
-                for topic in (LEFT, RIGHT):
-                    graph.withdraw(topic)
-                    graph.advertise(topic, Image)
+            if sent == 5:
+                lose_one(graph, LEFT, RIGHT)
             graph.send(camera.images(FIRST_NS + sent * 10**7))
             sent += 1
             graph.wait(lambda count=sent: len(received) >= count, f"disparity {sent}")
