@@ -86,7 +86,6 @@ class StereoNode(Node):  # type: ignore[misc]
         self._inputs: list[Input] = []
         self.on_idle: list[Callable[[], object]] = []  # called when the last output loses its last subscriber
         self._awake = False
-        self._received_before: dict[Input, int] = {}
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_SILENCE_S, self._report_silence, clock=steady)
         self._follow_timer = self.create_timer(_FOLLOW_S, self._follow_publishers, clock=steady)
@@ -112,11 +111,16 @@ class StereoNode(Node):  # type: ignore[misc]
         msgtype = self.interface.inputs[topic]
         if msgtype == _IMAGE and self.parameters.get(PairingConfig).image_transport == "compressed":
             topic, msgtype = f"{topic}/compressed", _COMPRESSED
-        depth, repeated = self.parameters.get(PairingConfig).queue_size, msgtype == _INFO
-        message_type = message_class(msgtype)
         self._inputs.append(
             Input(
-                *(self, self.diagnostics, message_type, topic, callback, wanted, depth, repeated),
+                self,
+                self.diagnostics,
+                message_class(msgtype),
+                topic,
+                callback,
+                wanted,
+                depth=self.parameters.get(PairingConfig).queue_size,
+                repeated=msgtype == _INFO,
                 on_change=self._start_following,
             )
         )
@@ -151,7 +155,6 @@ class StereoNode(Node):  # type: ignore[misc]
         for item in self._inputs:
             wanted = demand and item.wanted()
             if wanted and not item.subscribed:
-                self._received_before[item] = -1  # silence is reported after a whole interval without a message
                 with self.diagnostics.catch():
                     item.subscribe()
             elif not wanted and item.subscribed:
@@ -178,11 +181,10 @@ class StereoNode(Node):  # type: ignore[misc]
         """Report all silent inputs in one error, by remedy; count each of them."""
         silent: dict[str, list[str]] = {}
         for item in self._inputs:
-            if item.subscribed and item.received == self._received_before[item]:
+            if item.is_silent():
                 self.diagnostics.counters[f"silent {item.topic}"] += 1
                 topic = item.resolved_topic
                 silent.setdefault(_silence_remedy(self.count_publishers(topic)), []).append(topic)
-            self._received_before[item] = item.received
         if silent:
             groups = [
                 f"{', '.join(dict.fromkeys(topics))}: nothing received for {_SILENCE_S:g} s; {remedy}"

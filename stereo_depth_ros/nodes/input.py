@@ -47,9 +47,6 @@ class Input:
         depth: messages kept until the callback takes them.
         repeated: whether the messages repeat one content, which may be latched instead.
         on_change: called when a publisher appears or goes away, some time before the graph shows it.
-
-    Attributes:
-        received: number of messages.
     """
 
     def __init__(
@@ -66,7 +63,6 @@ class Input:
     ) -> None:
         self.topic = topic
         self.wanted = wanted
-        self.received = 0
         self._node = node
         self._diagnostics = diagnostics
         self._message_type = message_type
@@ -74,6 +70,7 @@ class Input:
         self._depth = depth
         self._repeated = repeated
         self._on_change = on_change
+        self._received, self._received_before = 0, 0  # now, and when it was looked at last
         self._has_lost = False
         self._subscription: Subscription | None = None
         self._offer = (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)  # of the subscription
@@ -112,8 +109,14 @@ class Input:
         Raises:
             rclpy's errors for an override that is not a policy.
         """
+        self._received_before = -1  # not silent before a whole interval has passed
         self._offer = self._publishers_offer()
         self._subscription = self._create(self._offer)
+
+    def is_silent(self) -> bool:
+        """Whether it is subscribed and has received nothing since the last call; the first call begins the interval."""
+        before, self._received_before = self._received_before, self._received
+        return self.subscribed and self._received == before
 
     def unsubscribe(self) -> None:
         """Unsubscribe."""
@@ -184,7 +187,7 @@ class Input:
             self._may_repeat = max(0, self._may_repeat - 1)
             self._sent_at.append(sent_at)
             if not is_repeated:
-                self.received += 1
+                self._received += 1
                 self._callback(message)
 
     def _on_lost(self, event: Any) -> None:
