@@ -21,13 +21,12 @@ from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.diagnostics import NodeDiagnostics
 from stereo_depth_ros.nodes.input import OVERRIDABLE_POLICIES, Input
-from stereo_depth_ros.nodes.interface import NodeInterface
+from stereo_depth_ros.nodes.interface import NodeInterface, transported
 from stereo_depth_ros.nodes.message_types import RclpyTypes, message_class
 from stereo_depth_ros.nodes.parameters import NodeParameters, parameters_of_ros
 
 __all__ = ["Output", "StereoNode", "log_compilation"]
 
-_IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _INFO = "sensor_msgs/msg/CameraInfo"
 _SILENCE_S = 5.0  # an input without a message for this time is reported
 _FOLLOW_S = 0.1  # between two looks at the publishers of the inputs
@@ -108,9 +107,8 @@ class StereoNode(Node):  # type: ignore[misc]
 
         Images are raw or compressed, by image_transport. Errors of the callback are reported.
         """
-        msgtype = self.interface.inputs[topic]
-        if msgtype == _IMAGE and self.parameters.get(PairingConfig).image_transport == "compressed":
-            topic, msgtype = f"{topic}/compressed", _COMPRESSED
+        compressed = self.parameters.get(PairingConfig).image_transport == "compressed"
+        topic, msgtype = transported(topic, self.interface.inputs[topic], compressed)
         self._inputs.append(
             Input(
                 self,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from stereo_depth_ros.config import ParameterInfo, parameter_infos
 
-__all__ = ["CAMERA_INFOS", "COMMON_OUTPUTS", "RAW_IMAGES", "RECTIFIED_IMAGES", "NodeInterface"]
+__all__ = ["CAMERA_INFOS", "COMMON_OUTPUTS", "RAW_IMAGES", "RECTIFIED_IMAGES", "NodeInterface", "transported"]
 
 _WIDTH = 100
 _INFO, _IMAGE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Image"
@@ -21,6 +21,13 @@ RAW_IMAGES = {"left/image_raw": _IMAGE, "right/image_raw": _IMAGE}
 RECTIFIED_IMAGES = {"left/image_rect": _IMAGE, "right/image_rect": _IMAGE}
 # of every node but replay_node
 COMMON_OUTPUTS = {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "~/ready": "std_msgs/msg/Int64"}
+
+
+def transported(topic: str, msgtype: str, compressed: bool) -> tuple[str, str]:
+    """Topic and type by image_transport: those of compressed images differ, all others stay."""
+    if compressed and msgtype == _IMAGE:
+        return f"{topic}/compressed", "sensor_msgs/msg/CompressedImage"
+    return topic, msgtype
 
 
 @dataclass(frozen=True)

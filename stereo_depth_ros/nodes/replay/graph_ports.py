@@ -18,6 +18,7 @@ from rosgraph_msgs.msg import Clock
 
 from stereo_depth_ros.bags.pairs import SerializedPair
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
+from stereo_depth_ros.nodes.interface import transported
 from stereo_depth_ros.nodes.message_types import message_class
 from stereo_depth_ros.nodes.replay.recorder import Recorder
 from stereo_depth_ros.offline.report import stage_timings
@@ -76,8 +77,7 @@ class GraphPorts:
         self._executor.add_node(node)
         self._publishers = {}
         for field, (topic, msgtype) in _SENT.items():
-            if compressed and msgtype == _IMAGE_TYPE:
-                topic, msgtype = f"{topic}/compressed", "sensor_msgs/msg/CompressedImage"
+            topic, msgtype = transported(topic, msgtype, compressed)
             self._publishers[field] = node.create_publisher(message_class(msgtype), topic, _QOS)
         self._clock: Publisher | None = node.create_publisher(Clock, _CLOCK, 10) if clock else None
         self.output_topics = tuple(_MSGTYPES)
