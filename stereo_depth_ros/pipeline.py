@@ -21,13 +21,13 @@ from stereo_depth_ros.stages.disparity import DisparityStage
 from stereo_depth_ros.stages.point_cloud import CloudLayout, pack_points
 from stereo_depth_ros.stages.rectification import Rectifier
 
-__all__ = ["StereoPipeline", "StereoResult"]
+__all__ = ["PreparedPair", "StereoPipeline", "StereoResult"]
 
 
 class StereoPipeline:
     """Rectification and matching; depth and points are computed from the result on demand.
 
-    Thread-safe: concurrent pairs are matched one after the other.
+    Thread-safe: of concurrent pairs, at most :attr:`at_once` are matched at the same time.
 
     Args:
         config: parameters of all stages.
@@ -55,6 +55,11 @@ class StereoPipeline:
             other._disparity = DisparityStage(config.matching, self._rectifier)
         return other
 
+    @property
+    def at_once(self) -> int:
+        """Pairs that are matched at the same time: 1, or one a core with a matcher that works in one thread."""
+        return self._disparity.at_once
+
     def process(self, pair: StereoPair) -> StereoResult:
         """Depth of a raw pair.
 
@@ -62,16 +67,40 @@ class StereoPipeline:
             CalibrationError: an image has another size than its calibration.
             ImageError: the images cannot be matched.
         """
+        return self.match(self.prepare(pair))
+
+    def prepare(self, pair: StereoPair) -> PreparedPair:
+        """The first step of :meth:`process`: rectification."""
         start = time.perf_counter()
         rectified = self._rectifier.rectify(pair)
-        middle = time.perf_counter()
+        return PreparedPair(pair, rectified, {"rectify": 1e3 * (time.perf_counter() - start)})
+
+    def match(self, prepared: PreparedPair) -> StereoResult:
+        """The second step of :meth:`process`: disparities."""
+        pair, rectified = prepared.pair, prepared.rectified
+        start = time.perf_counter()
         disparity = self._disparity.match(rectified.left, rectified.right, lambda: self._exchanged(pair))
-        timings_ms = {"rectify": 1e3 * (middle - start), "match": 1e3 * (time.perf_counter() - middle)}
+        timings_ms = {**prepared.timings_ms, "match": 1e3 * (time.perf_counter() - start)}
         return StereoResult(pair, rectified, disparity, self.rig, self.config, timings_ms)
 
     def _exchanged(self, pair: StereoPair) -> tuple[U8, U8]:
         exchanged = self._rectifier.rectify(StereoPair(pair.right, pair.left))
         return exchanged.left, exchanged.right
+
+
+@dataclass(frozen=True)
+class PreparedPair:
+    """A pair before it is matched.
+
+    Attributes:
+        pair: the raw images.
+        rectified: the rectified images.
+        timings_ms: milliseconds by name of the stage.
+    """
+
+    pair: StereoPair
+    rectified: RectifiedPair
+    timings_ms: dict[str, float]
 
 
 @dataclass(frozen=True)

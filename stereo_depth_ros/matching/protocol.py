@@ -37,6 +37,10 @@ class Matcher(Protocol):
         """Resolution of the disparities, px."""
 
     @property
+    def uses_one_core(self) -> bool:
+        """Whether it spends most of its time in one thread, so that several of them match different pairs at once."""
+
+    @property
     def support_px(self) -> tuple[int, int]:
         """Width and height, odd, px, of the window of a matching cost, without prefilters or smoothing."""
 

@@ -22,6 +22,7 @@ class SerialMatcher(ABC):
 
     name: str
     step_px: float
+    uses_one_core = False
 
     def __init__(self, config: MatchingConfig) -> None:
         self.config = config

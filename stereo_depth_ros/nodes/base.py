@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any, ClassVar
 
 from rclpy.clock import Clock, ClockType
@@ -18,6 +19,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.core.kernels import compile_kernels
+from stereo_depth_ros.core.overlap import Overlap
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.diagnostics import NodeDiagnostics
 from stereo_depth_ros.nodes.input import OVERRIDABLE_POLICIES, Input
@@ -27,6 +29,7 @@ from stereo_depth_ros.nodes.parameters import NodeParameters, parameters_of_ros
 
 __all__ = ["Output", "StereoNode", "log_compilation"]
 
+_TOO_LATE = "pairs dropped while others were matched"
 _INFO = "sensor_msgs/msg/CameraInfo"
 _SILENCE_S = 5.0  # an input without a message for this time is reported
 _FOLLOW_S = 0.1  # between two looks at the publishers of the inputs
@@ -66,6 +69,7 @@ class StereoNode(Node):  # type: ignore[misc]
     Attributes:
         interface: its name, the types of its topics, and its configs, of which PairingConfig is one.
         matcher: name of the matcher; empty without one.
+        frames: of a node whose frames overlap, see :meth:`overlap_frames`; else None.
 
     Raises:
         ConfigError: see :class:`NodeParameters`.
@@ -83,6 +87,7 @@ class StereoNode(Node):  # type: ignore[misc]
         self.diagnostics = NodeDiagnostics(self)
         self._outputs: list[Output] = []
         self._inputs: list[Input] = []
+        self.frames: Overlap[Any, Any, Any] | None = None
         self.on_idle: list[Callable[[], object]] = []  # called when the last output loses its last subscriber
         self._awake = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -123,6 +128,29 @@ class StereoNode(Node):  # type: ignore[misc]
             )
         )
         self._follow_demand()
+
+    def overlap_frames(
+        self,
+        prepare: Callable[[Any], Any],
+        work: Callable[[Any], Any],
+        publish: Callable[[Any], None],
+        at_once: Callable[[Any], int],
+    ) -> None:
+        """Frames of :meth:`add_frame` go through these steps, see :class:`Overlap`; what a step raises is reported."""
+
+        def deliver(result: Future[Any]) -> None:
+            with self.diagnostics.catch():
+                publish(result.result())
+
+        self.frames = Overlap(prepare, work, deliver, at_once)
+        self.on_idle.append(self.frames.drop_waiting)
+        self.diagnostics.watch_loss(_TOO_LATE, lambda: self.diagnostics.counters[_TOO_LATE], _cause_of_too_late)
+
+    def add_frame(self, frame: Any) -> None:
+        """Begin with a frame, now or when the ones before it are far enough; the oldest is dropped if many wait."""
+        if self.frames is not None:
+            limit = self.parameters.get(PairingConfig).queue_size
+            self.diagnostics.counters[_TOO_LATE] += self.frames.add(frame, limit)
 
     def refuse_equal_topics(self, left: str, right: str) -> None:
         """Raise TopicError where both cameras were remapped to the same topic."""
@@ -189,6 +217,13 @@ class StereoNode(Node):  # type: ignore[misc]
                 for remedy, topics in silent.items()
             ]
             self.diagnostics.report_error("silent inputs", ". ".join(groups))
+
+
+def _cause_of_too_late() -> str:
+    return (
+        "pairs come faster than they are matched: lower the rate of the cameras, their size or disparity_range, or "
+        "take a faster matcher"
+    )
 
 
 def _silence_remedy(publishers: int) -> str:

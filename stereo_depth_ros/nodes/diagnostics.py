@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 import traceback
 from collections import Counter, deque
@@ -38,6 +39,7 @@ class NodeDiagnostics:
 
     def __init__(self, node: Node) -> None:
         self._node = node
+        self._turn = threading.RLock()  # errors and timings come from several threads
         self.counters: Counter[str] = Counter()
         self.facts: dict[str, str] = {}
         self.warning = ""
@@ -56,14 +58,15 @@ class NodeDiagnostics:
 
     def report_error(self, kind: str, text: str) -> None:
         """Count ``kind``; log the text, at most once in five seconds for each kind."""
-        self.counters[kind] += 1
-        self._last_error = text
-        now = time.monotonic()
-        if now - self._said_at.get(kind, -_QUIET_S) < _QUIET_S:
-            self._unsaid[kind] += 1
-            return
-        self._said_at[kind] = now
-        more = self._unsaid.pop(kind, 0)
+        with self._turn:
+            self.counters[kind] += 1
+            self._last_error = text
+            now = time.monotonic()
+            if now - self._said_at.get(kind, -_QUIET_S) < _QUIET_S:
+                self._unsaid[kind] += 1
+                return
+            self._said_at[kind] = now
+            more = self._unsaid.pop(kind, 0)
         self._node.get_logger().error(f"{text} ({more} more of this kind)" if more else text)
 
     def watch_loss(self, name: str, count: Callable[[], int], cause: Callable[[], str]) -> None:
@@ -84,8 +87,9 @@ class NodeDiagnostics:
 
     def timing(self, timings_ms: dict[str, float]) -> None:
         """Add the times of the stages of one frame, ms."""
-        for stage, ms in timings_ms.items():
-            self._timings_ms.setdefault(stage, deque(maxlen=_WINDOW)).append(ms)
+        with self._turn:
+            for stage, ms in timings_ms.items():
+                self._timings_ms.setdefault(stage, deque(maxlen=_WINDOW)).append(ms)
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -96,6 +100,11 @@ class NodeDiagnostics:
 
     def publish(self) -> None:
         """Publish counters and timings on /diagnostics."""
+        with self._turn:
+            message = self._message()
+        self._publisher.publish(message)
+
+    def _message(self) -> DiagnosticArray:
         self._check_losses()
         values = {**self.facts, **{name: str(count) for name, count in sorted(self.counters.items())}}
         for stage, times in self._timings_ms.items():
@@ -113,7 +122,7 @@ class NodeDiagnostics:
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)
+        return message
 
     def _check_losses(self) -> None:
         """Note what was lost since the last time; log it at most once in five seconds."""

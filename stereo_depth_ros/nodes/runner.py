@@ -23,7 +23,9 @@ from stereo_depth_ros.nodes.command_line import answer_help, start_ros
 from stereo_depth_ros.nodes.interface import COMMON_OUTPUTS
 from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.readiness import announce_ready
+from stereo_depth_ros.nodes.spinning import spin_overlapped
 from stereo_depth_ros.nodes.transport import prepare_process
+from stereo_depth_ros.stages.disparity import LARGEST_AT_ONCE
 
 __all__ = ["run"]
 
@@ -59,7 +61,11 @@ def run(node_type: type[StereoNode]) -> int:
         announce_ready(node)
         for line in node.readiness():
             node.get_logger().info(line)
-        executor.spin()
+        if node.frames is None:
+            executor.spin()
+        else:
+            node.frames.begin_overlap()
+            spin_overlapped(executor, node.frames.run_one, threads=LARGEST_AT_ONCE + 3)
     except StereoDepthError as error:
         get_logger("stereo_depth_ros").fatal(error_text(error))
         return 1

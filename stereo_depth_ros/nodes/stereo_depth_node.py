@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, PairingConfig, PipelineConfig
 from stereo_depth_ros.core.rig import StereoRig
@@ -15,13 +15,25 @@ from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInter
 from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
-from stereo_depth_ros.pipeline import StereoPipeline
+from stereo_depth_ros.pipeline import PreparedPair, StereoPipeline, StereoResult
 
 __all__ = ["StereoDepthNode", "main"]
 
 
+class _Frame(NamedTuple):
+    """A pair of messages, and the rig and the pipeline that were current when it arrived."""
+
+    left: Any
+    right: Any
+    rig: StereoRig
+    pipeline: StereoPipeline
+
+
 class StereoDepthNode(StereoNode):
-    """It computes and publishes the outputs that have a subscriber."""
+    """It computes and publishes the outputs that have a subscriber.
+
+    While one pair is matched, the next is rectified and the last one published; sgbm matches one pair a core.
+    """
 
     interface = NodeInterface(
         "stereo_depth_node",
@@ -38,16 +50,23 @@ class StereoDepthNode(StereoNode):
         self._messages = ResultMessages(self.types)
         self._calibration = CalibrationInput(self)
         self._results = [(self.add_output(row.topic), row.topic, row.build) for row in OUTPUTS]
+        self.overlap_frames(self._prepare, self._match, self._publish, lambda frame: frame.pipeline.at_once)
         self._pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
         self.add_input("left/image_raw", self._pairs.add_left)
         self.add_input("right/image_raw", self._pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
-        self._calibration.with_rig(lambda rig: self._process(left, right, rig))
+        self._calibration.with_rig(lambda rig: self.add_frame(_Frame(left, right, rig, self._pipeline_of(rig))))
 
-    def _process(self, left: Any, right: Any, rig: StereoRig) -> None:
-        pair = self._pairs.decode(left, right, rig)
-        result = self._pipeline_of(rig).process(pair)
+    def _prepare(self, frame: _Frame) -> tuple[StereoPipeline, PreparedPair]:
+        pair = self._pairs.decode(frame.left, frame.right, frame.rig)
+        return frame.pipeline, frame.pipeline.prepare(pair)
+
+    def _match(self, prepared: tuple[StereoPipeline, PreparedPair]) -> StereoResult:
+        pipeline, pair = prepared
+        return pipeline.match(pair)
+
+    def _publish(self, result: StereoResult) -> None:
         for output, topic, build in self._results:
             if output.wanted:
                 start = time.perf_counter()

@@ -29,6 +29,7 @@ MALLOC_OPTIONS = {
     "M_MMAP_THRESHOLD": (-3, 32 << 20),
     "M_TRIM_THRESHOLD": (-1, 1 << 30),
     "M_TOP_PAD": (-2, 64 << 20),
+    "M_ARENA_MAX": (-8, 1),
 }
 
 

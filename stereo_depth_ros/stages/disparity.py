@@ -5,19 +5,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from queue import LifoQueue
 
 import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.core.bands import run_bands
+from stereo_depth_ros.core.bands import core_count, run_bands
 from stereo_depth_ros.core.kernels import compile_kernels, compiled
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
-from stereo_depth_ros.matching import matcher_from_config
+from stereo_depth_ros.matching import Matcher, matcher_from_config
 from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 from stereo_depth_ros.stages.depth import reject_behind
 from stereo_depth_ros.stages.rectification import Rectifier
 
-__all__ = ["DisparityStage"]
+__all__ = ["LARGEST_AT_ONCE", "DisparityStage"]
+
+LARGEST_AT_ONCE = 4  # pairs that are matched at the same time, however many cores there are
 
 
 class DisparityStage:
@@ -28,16 +31,25 @@ class DisparityStage:
         rectifier: of the rig; it has the valid pixels of the rectified images. With an uncalibrated rig all searched
             disparities are in front of the cameras.
 
+    Attributes:
+        at_once: pairs that are matched at the same time, others wait: 1, or one a core if the matcher uses one core.
+
     Raises:
         ConfigError: the parameters contradict each other.
     """
 
     def __init__(self, config: MatchingConfig, rectifier: Rectifier) -> None:
         rig = rectifier.rig
-        self._matcher = matcher_from_config(config)
+        matcher = matcher_from_config(config)
+        self.at_once = min(core_count(), LARGEST_AT_ONCE) if matcher.uses_one_core else 1
+        # The one used last is taken first: its buffers are allocated and in the cache.
+        self._free_matchers: LifoQueue[Matcher] = LifoQueue()
+        for other in (matcher_from_config(config) for _ in range(self.at_once - 1)):
+            self._free_matchers.put(other)
+        self._free_matchers.put(matcher)
         self._doffs_px = rig.doffs_px
         self._swap_detector = CameraSwapDetector(rig.doffs_px) if rig.metric else None
-        seen = rectifier.seen(self._matcher.support_px)
+        seen = rectifier.seen(matcher.support_px)
         self._seen = None if all(side.all() for side in seen) else seen
         compile_kernels()
 
@@ -56,7 +68,11 @@ class DisparityStage:
         """
         if self._swap_detector is not None:
             self._swap_detector.check(left, right, exchange)
-        result = self._matcher.match(left, right)
+        matcher = self._free_matchers.get()
+        try:
+            result = matcher.match(left, right)
+        finally:
+            self._free_matchers.put(matcher)
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)
         if self._seen is not None:
             run_bands(_reject_unseen, len(left), result.disparity_px, result.reasons, *self._seen)

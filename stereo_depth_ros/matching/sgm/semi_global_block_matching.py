@@ -46,6 +46,7 @@ class SemiGlobalBlockMatcher(SerialMatcher):
 
     name = "sgbm"
     step_px = 1 / X16_STEPS
+    uses_one_core = True
 
     def __init__(self, config: MatchingConfig) -> None:
         """Raise ConfigError if OpenCV would crash or return wrong disparities with these parameters."""
