@@ -10,7 +10,7 @@ pytest.importorskip("rclpy", reason="the nodes need ROS 2")
 
 from graph_harness import Graph
 
-from stereo_depth_ros.core.errors import StereoDepthError, TopicError
+from stereo_depth_ros.core.errors import MessageError, StereoDepthError, TopicError
 from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.rectify_node import RectifyNode
 
@@ -62,3 +62,21 @@ def test_the_log_names_the_parameters() -> None:
             raise UNPAIRED
         assert graph.wait_error("no pairs") == TEXT
         assert graph.status().message == TEXT
+
+
+@pytest.mark.graph
+def test_two_faults_of_one_class_are_both_logged_and_in_the_status() -> None:
+    faults = [
+        MessageError("encoding 'nonsense' is not supported", subject="/left/image_raw"),
+        MessageError("step 7 is below 640", subject="/left/image_raw"),
+        MessageError("step 7 is below 640", subject="/right/image_raw"),
+    ]
+    with Graph(RectifyNode) as graph:
+        for error in faults:
+            for _ in range(3):
+                with graph.nodes[0].diagnostics.catch():
+                    raise error
+        graph.wait_error("/right/image_raw: step 7")
+        assert graph.errors(".") == [str(error) for error in faults]
+        assert graph.status().message == "; ".join(str(error) for error in faults)
+        assert graph.counter("MessageError") == 9

@@ -17,11 +17,11 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.nodes.faults import QUIET_S, Faults
 from stereo_depth_ros.nodes.parameters import error_text
 
 __all__ = ["NodeDiagnostics"]
 
-_QUIET_S = 5.0  # errors of one kind are logged at most once in this time
 _WINDOW = 100  # frames of the percentiles of timings
 
 
@@ -44,30 +44,29 @@ class NodeDiagnostics:
         self.facts: dict[str, str] = {}
         self.warning = ""
         self._timings_ms: dict[str, deque[float]] = {}
-        self._said_at: dict[str, float] = {}
-        self._last_error = ""
-        self._unsaid: Counter[str] = Counter()
+        self._faults = Faults()
         self._losses: dict[str, tuple[Callable[[], int], Callable[[], str]]] = {}
         self._losses_before: Counter[str] = Counter()  # as published last
         self._losses_said: Counter[str] = Counter()  # as logged last
-        self._loss_at = self._loss_said_at = -_QUIET_S
+        self._loss_at = self._loss_said_at = -QUIET_S
         self._last_loss = ""
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # A steady clock: diagnostics continue while simulated time stands still.
         node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def report_error(self, kind: str, text: str) -> None:
-        """Count ``kind``; log the text, at most once in five seconds for each kind."""
+    def report_error(self, kind: str, text: str, fault: str = "") -> None:
+        """Count ``kind``, and log the text: the first one of a fault at once, then one in five seconds.
+
+        Args:
+            kind: name of the counter.
+            text: what is wrong.
+            fault: what tells faults of this kind apart, see :meth:`Faults.report`.
+        """
         with self._turn:
             self.counters[kind] += 1
-            self._last_error = text
-            now = time.monotonic()
-            if now - self._said_at.get(kind, -_QUIET_S) < _QUIET_S:
-                self._unsaid[kind] += 1
-                return
-            self._said_at[kind] = now
-            more = self._unsaid.pop(kind, 0)
-        self._node.get_logger().error(f"{text} ({more} more of this kind)" if more else text)
+            line = self._faults.report(f"{kind} {fault}", text)
+        if line:
+            self._node.get_logger().error(line)
 
     def watch_loss(self, name: str, count: Callable[[], int], cause: Callable[[], str]) -> None:
         """While ``count`` grows the level is WARN, and its growth is logged with the likely cause and the remedy."""
@@ -79,11 +78,12 @@ class NodeDiagnostics:
         try:
             yield
         except StereoDepthError as error:
-            self.report_error(type(error).__name__, error_text(error))
+            self.report_error(type(error).__name__, error_text(error), f"{error.subject}: {error.problem}")
         except Exception as error:  # the boundary of the node
             if not self._node.context.ok():
                 return  # the node is shutting down: publishers are gone
-            self.report_error("unexpected", f"unexpected {type(error).__name__}: {error}\n{traceback.format_exc()}")
+            fault = f"unexpected {type(error).__name__}: {error}"
+            self.report_error("unexpected", f"{fault}\n{traceback.format_exc()}", fault)
 
     def timing(self, timings_ms: dict[str, float]) -> None:
         """Add the times of the stages of one frame, ms."""
@@ -111,13 +111,13 @@ class NodeDiagnostics:
             p50, p95 = np.percentile(np.array(times), (50, 95))
             values |= {f"{stage} p50 ms": f"{p50:.3f}", f"{stage} p95 ms": f"{p95:.3f}"}
         now = time.monotonic()
-        failing = now - max(self._said_at.values(), default=-_QUIET_S) < _QUIET_S
-        warning = self._last_loss if now - self._loss_at < _QUIET_S else self.warning
+        faults = self._faults.present()
+        warning = self._last_loss if now - self._loss_at < QUIET_S else self.warning
         healthy = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if failing else healthy,
+            level=DiagnosticStatus.ERROR if faults else healthy,
             name=self._node.get_fully_qualified_name(),
-            message=self._last_error if failing else warning or "ok",
+            message="; ".join(faults) or warning or "ok",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
@@ -130,7 +130,7 @@ class NodeDiagnostics:
         if losses - self._losses_before:
             self._loss_at = now
         self._losses_before = losses
-        if (grown := losses - self._losses_said) and now - self._loss_said_at >= _QUIET_S:
+        if (grown := losses - self._losses_said) and now - self._loss_said_at >= QUIET_S:
             self._losses_said, self._loss_said_at = losses, now
             causes = dict.fromkeys(self._losses[name][1]() for name in grown)
             counts = ", ".join(f"{count} {name} ({losses[name]} in all)" for name, count in grown.items())
