@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Prepares a process for large messages: a Fast DDS profile and malloc settings, unless the user has set others."""
+"""Prepares a process for large messages: free shared memory; a Fast DDS profile and malloc settings, unless set."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.files.installed_files import installed_files
+from stereo_depth_ros.nodes.shared_memory import remove_dead_segments
 
 __all__ = ["Setting", "TransportReport", "prepare_process", "profile_path"]
 
@@ -47,9 +48,11 @@ class TransportReport:
 
     profile: Setting
     malloc: Setting
+    freed_bytes: int = 0
 
     def __str__(self) -> str:
-        return f"transport: {self.profile.text}; memory: {self.malloc.text}"
+        freed = f"; removed {self.freed_bytes >> 20} MiB of shared memory of killed processes"
+        return f"transport: {self.profile.text}; memory: {self.malloc.text}{freed if self.freed_bytes else ''}"
 
 
 def prepare_process() -> TransportReport:
@@ -57,12 +60,14 @@ def prepare_process() -> TransportReport:
 
     The profile is not set when the user chose one, other built-in transports or another middleware; the malloc
     settings when the user set ``MALLOC_*`` or ``GLIBC_TUNABLES``, or ``STEREO_DEPTH_MALLOPT=0``. Processes started
-    from this one inherit the profile, not the malloc settings. It may be called more than once.
+    from this one inherit the profile, not the malloc settings. It may be called more than once. Shared memory that
+    killed processes of this user left behind is removed first, so that there is room for a segment.
 
     Raises:
         ConfigError: the package is installed without its profile.
     """
-    return TransportReport(profile=_set_profile(os.environ), malloc=_set_malloc(os.environ))
+    freed = remove_dead_segments(SHARED_MEMORY)
+    return TransportReport(profile=_set_profile(os.environ), malloc=_set_malloc(os.environ), freed_bytes=freed)
 
 
 def profile_path() -> Path:
