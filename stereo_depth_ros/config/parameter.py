@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -95,21 +96,24 @@ def parameter(default: bool | int | float | str, doc: str, **info: Any) -> Any:
     return field(default=default, metadata={"doc": doc, **info})
 
 
-def parameter_infos(config: type | object) -> Iterator[ParameterInfo]:
+def parameter_infos(config: type | object) -> tuple[ParameterInfo, ...]:
     """Metadata of all parameters of a config class, in the order of its fields."""
-    for item in dataclasses.fields(config):  # type: ignore[arg-type]
-        info = dict(item.metadata)
-        name = info.pop("name", item.name)
-        matchers = matchers_with(name)
-        if matchers and len(matchers) < len(MATCHERS):
-            info["doc"] = f"{info['doc']} For {_listed(matchers)}."
-        yield ParameterInfo(
-            name=name,
-            field=item.name,
-            type=type(item.default),
-            default=item.default,  # type: ignore[arg-type]
-            **info,
-        )
+    return _infos(config if isinstance(config, type) else type(config))
+
+
+@functools.cache
+def _infos(config: type) -> tuple[ParameterInfo, ...]:
+    return tuple(_info(item) for item in dataclasses.fields(config))
+
+
+def _info(item: dataclasses.Field[Any]) -> ParameterInfo:
+    info = dict(item.metadata)
+    name = info.pop("name", item.name)
+    matchers = matchers_with(name)
+    if matchers and len(matchers) < len(MATCHERS):
+        info["doc"] = f"{info['doc']} For {_listed(matchers)}."
+    default: Any = item.default
+    return ParameterInfo(name=name, field=item.name, type=type(default), default=default, **info)
 
 
 def _listed(matchers: tuple[str, ...]) -> str:

@@ -83,10 +83,10 @@ class NodeParameters:
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            changed = {
-                config: replace_checked(current, {p.name: p.value for p in parameters if p.name in _names(config)})
-                for config, current in self._configs.items()
+            given = {
+                config: {p.name: p.value for p in parameters if p.name in _names(config)} for config in self._configs
             }
+            changed = {config: replace_checked(self._configs[config], new) for config, new in given.items() if new}
             changed = {config: value for config, value in changed.items() if value != self._configs[config]}
             for config, value in changed.items():
                 self._checks.get(config, lambda _: None)(value)

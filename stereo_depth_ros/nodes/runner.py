@@ -54,12 +54,11 @@ def run(node_type: type[StereoNode]) -> int:
         if interrupts:
             return 0  # before rclpy handled signals
         node = node_type()
-        node.get_logger().info(str(transport))
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         compile_kernels(functools.partial(log_compilation, node))
         announce_ready(node)
-        for line in node.readiness():
+        for line in (str(transport), *node.readiness()):
             node.get_logger().info(line)
         if node.frames is None:
             executor.spin()
