@@ -110,9 +110,9 @@ setup(
     extras_require=EXTRAS,
     entry_points={
         "console_scripts": [
-            "stereo-depth = stereo_depth_ros.cli.main:main",
-            *(f"{node} = stereo_depth_ros.nodes.{node}:main" for node in NODES),
-            "health_node = stereo_depth_ros.nodes.calibration_monitor:main",  # its earlier name
+            "stereo-depth = stereo_depth_ros.cli.start:main",
+            *(f"{node} = stereo_depth_ros.nodes.start:{node}" for node in NODES),
+            "health_node = stereo_depth_ros.nodes.start:calibration_monitor",  # its earlier name
         ]
     },
 )

@@ -1,16 +1,21 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C while kernels are compiled or loaded is not lost in callbacks of the compiler."""
+"""Ctrl-C ends a command with a line on what it leaves, and is not lost in callbacks of the compiler."""
 
 from __future__ import annotations
 
+import os
 import signal
+import threading
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
+from command_line import CommandLine, Run
 
-from stereo_depth_ros.cli import output
+from stereo_depth_ros.cli import interrupts, output, parameters
+from stereo_depth_ros.files.output import OutputFile, write_file
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -43,3 +48,57 @@ def test_an_interrupt_ends_the_compilation_before_the_next_kernel(monkeypatch: p
     with pytest.raises(KeyboardInterrupt):
         output.prepare_kernels()
     assert compiled == [1]
+
+
+def interrupt_while_writing(run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> str:
+    """What a command says that has completed first.txt and is writing second.txt when ``act`` is called."""
+
+    def show(*_: object, **__: object) -> None:
+        write_file(folder / "first.txt", "1")
+        with OutputFile(folder / "second.txt") as second:
+            second.file.write(b"2")
+            act()
+
+    monkeypatch.setattr(parameters, "show", show)
+    code, out, err = run()
+    assert (code, out) == (130, "")
+    assert [path.name for path in folder.iterdir()] == ["first.txt"]
+    return err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_command_says_what_it_leaves(
+    command_line: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    run = command_line("parameters")
+    said = interrupt_while_writing(run, tmp_path, monkeypatch, lambda: signal.raise_signal(number))
+    assert said == f"interrupted: {tmp_path / 'first.txt'} complete; incomplete {tmp_path / 'second.txt'} removed\n"
+
+
+def test_a_command_that_does_not_notice_an_interrupt_is_ended(
+    command_line: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The main thread goes on, as in a kernel; another one removes what is incomplete and ends the process."""
+    codes: list[int] = []
+    ended = threading.Event()
+
+    def end(code: int) -> None:
+        codes.append(code)
+        ended.set()
+
+    def compute() -> None:
+        with suppress(interrupts.Interrupted):
+            signal.raise_signal(signal.SIGINT)
+        assert ended.wait(30)
+        raise interrupts.Interrupted  # where the real process would no longer be
+
+    monkeypatch.setattr(interrupts, "_END_S", 0)
+    monkeypatch.setattr(os, "_exit", end)
+    line = f"interrupted: {tmp_path / 'first.txt'} complete; incomplete {tmp_path / 'second.txt'} removed\n"
+    assert interrupt_while_writing(command_line("parameters"), tmp_path, monkeypatch, compute) == 2 * line
+    assert codes == [130]
+
+
+def test_an_interrupt_before_any_output(command_line: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parameters, "show", lambda *_, **__: signal.raise_signal(signal.SIGINT))
+    assert command_line("parameters")() == (130, "", "interrupted: nothing was written\n")

@@ -305,6 +305,28 @@ def test_a_signal_leaves_nothing_behind(tmp_path: Path, number: int) -> None:
     assert process.returncode != 0
     assert b"Traceback" not in err
     assert list(tmp_path.iterdir()) == []
+    assert process.returncode == 130
+    assert err.decode().splitlines()[-1] == f"interrupted: incomplete {tmp_path / 'o.mcap'} removed"
+
+
+LIBRARY_THAT_WRITES = """
+import os, sys
+from stereo_depth_ros.cli import main, output, parameters
+def show(*arguments, **options):
+    os.write(1, b"from C++ before\\n")
+    output.show(*arguments, **options)
+    os.write(1, b"from C++ after\\n")
+parameters.show = show
+sys.argv = ["stereo-depth", "parameters", "--json", "-"]
+main.main()
+"""
+
+
+def test_what_a_library_writes_to_descriptor_1_goes_to_stderr() -> None:
+    done = subprocess.run([sys.executable, "-c", LIBRARY_THAT_WRITES], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)
+    assert done.stderr == "from C++ before\nfrom C++ after\n"
 
 
 def limit_files() -> None:

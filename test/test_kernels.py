@@ -51,16 +51,16 @@ def write_helper(folder: Path, expression: str, comment: str = "") -> None:
     (folder / "helper.py").write_text(f"{text}    return {expression}\n")
 
 
-def start(folder: Path) -> subprocess.Popen[str]:
+def start(folder: Path, code: str = RUN) -> subprocess.Popen[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
     environment.pop("NUMBA_CACHE_DIR", None)
-    command = [sys.executable, "-c", RUN]
+    command = [sys.executable, "-c", code]
     return subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
 
 
-def run(folder: Path) -> list[str]:
+def run(folder: Path, code: str = RUN) -> list[str]:
     """What a new process prints."""
-    process = start(folder)
+    process = start(folder, code)
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 0
     return output.splitlines()
@@ -142,3 +142,10 @@ def test_first_call_compiles() -> None:
     assert isinstance(half, Kernel)
     assert half(5.0) == 2.5
     compile_kernels(lambda number, total: pytest.fail("nothing is left to compile"))
+
+
+def test_code_is_read_without_the_tables_of_the_compiler(folder: Path) -> None:
+    """They are most of the start of a node; numba builds them when it compiles."""
+    code = f"{RUN}\nimport sys\nprint('numba.typed.typedlist' in sys.modules)"
+    assert run(folder, code)[-1] == "True"
+    assert run(folder, code) == ["8 6", "False"]

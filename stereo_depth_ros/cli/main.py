@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """`stereo-depth ...`: the table of commands; the module of a command is imported when the command is called.
 
-Exit codes: 0 success, 1 an error reported in one line, 2 wrong usage, 3 incomplete results.
+Exit codes: 0 success, 1 an error reported in one line, 2 wrong usage, 3 incomplete results, 130 interrupted.
 """
 
 from __future__ import annotations
 
 import importlib
-import signal
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import metadata
@@ -18,8 +17,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from stereo_depth_ros.cli.errors import command_options, error_line, given_value
+from stereo_depth_ros.cli.interrupts import interrupts_end_the_command
 from stereo_depth_ros.cli.shell import require_known_shell
-from stereo_depth_ros.cli.stdout import finish_stdout
+from stereo_depth_ros.cli.stdout import finish_stdout, own_stdout
 from stereo_depth_ros.core.errors import StereoDepthError
 
 __all__ = ["COMMANDS", "app", "main"]
@@ -108,13 +108,14 @@ def stereo_depth(
 
 
 def main() -> None:
-    """Entry point of the console script; reports expected errors in one line."""
-    signal.signal(signal.SIGTERM, _interrupt)  # stops started nodes and removes incomplete outputs, as after Ctrl-C
+    """Run the command of the arguments; reports expected errors in one line."""
+    own_stdout()
     try:
-        try:
-            app(prog_name="stereo-depth")
-        finally:
-            finish_stdout()
+        with interrupts_end_the_command():
+            try:
+                app(prog_name="stereo-depth")
+            finally:
+                finish_stdout()
     except (StereoDepthError, OSError) as error:
         print(error_line(error, _called_options(sys.argv[1:])), file=sys.stderr)
         sys.exit(1)
@@ -125,10 +126,6 @@ def _called_options(arguments: Sequence[str]) -> set[str]:
     group: Any = typer.main.get_command(app)
     name = next((argument for argument in arguments if argument in COMMANDS), None)
     return command_options(group.get_command(None, name)) if name else set()
-
-
-def _interrupt(*_: Any) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

@@ -74,6 +74,20 @@ def write_file(path: Path, data: bytes | str, *, overwrite: bool = False, make_f
         output.file.write(data.encode() if isinstance(data, str) else data)
 
 
+_records: list[list[OutputFile]] = []
+
+
+@contextmanager
+def recorded_outputs() -> Iterator[list[OutputFile]]:
+    """The output files that are opened in the ``with`` block, in this order; without devices and pipes."""
+    outputs: list[OutputFile] = []
+    _records.append(outputs)
+    try:
+        yield outputs
+    finally:
+        _records.remove(outputs)
+
+
 class OutputFile:
     """A file that appears when its ``with`` block has ended without an error.
 
@@ -87,6 +101,7 @@ class OutputFile:
     Attributes:
         path: the file.
         file: binary file object to write to.
+        complete: whether it has appeared under its name.
 
     Raises:
         OutputError: the file exists and ``overwrite`` is false, or it cannot be created.
@@ -95,6 +110,7 @@ class OutputFile:
     def __init__(self, path: Path, *, overwrite: bool = False, make_folders: bool = False) -> None:
         _check_free(path, overwrite)
         self.path = path
+        self.complete = False
         self._overwrite = overwrite
         self._temporary = None if _is_device(path) else path.with_name(f".{secrets.token_hex(8)}.partial")
         with as_output_errors(path):
@@ -106,6 +122,8 @@ class OutputFile:
                 # runs at process exit too, wherever an interrupt occurs
                 self._remove = weakref.finalize(self, self._temporary.unlink, missing_ok=True)
                 self.file = self._temporary.open("xb")  # exclusive: a link of this name is not followed
+                for outputs in _records:
+                    outputs.append(self)
 
     def close(self) -> None:
         """Complete the file and give it its name.
@@ -118,6 +136,7 @@ class OutputFile:
                 self.file.close()
                 if self._temporary is not None:
                     self._rename(self._temporary)
+            self.complete = True
         finally:
             self.discard()
 

@@ -1,3 +1,12 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The ROS nodes, the only package that imports rclpy; they convert, call and publish."""
+
+import sys
+
+if sys.argv[:1] == [
+    "-m"
+]:  # `python -m stereo_depth_ros.nodes.NODE`, which imports its package before it knows the file
+    from stereo_depth_ros.nodes.start import end_at_once
+
+    end_at_once()

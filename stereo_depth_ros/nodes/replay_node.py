@@ -5,6 +5,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import os
+import signal
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -21,6 +24,7 @@ from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
 from stereo_depth_ros.core.errors import BagError, GraphError, StereoDepthError
+from stereo_depth_ros.core.interrupts import handled_signals
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.nodes.command_line import answer_help, start_ros
 from stereo_depth_ros.nodes.interface import NodeInterface
@@ -35,6 +39,7 @@ from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["INTERFACE", "check_recording", "main", "play", "replay"]
 
+_END_S = 1.5  # after a signal, to remove the recording
 _DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes publish their timings once a second
 INTERFACE = NodeInterface(
     "replay_node", configs=(ReplayOptions, PairingConfig), inputs=SUBSCRIBED, outputs=PUBLISHED, lazy=False
@@ -155,6 +160,12 @@ def main() -> int:
     """
     if answer_help(INTERFACE, "Plays a stereo bag through the live graph, records the outputs, and ends.", sys.argv):
         return 0
+    # The recording is removed on the way out.
+    with handled_signals(signal.default_int_handler, _END_S, functools.partial(os._exit, 0)):
+        return _run()
+
+
+def _run() -> int:
     prepare_process()
     try:
         start_ros(sys.argv)

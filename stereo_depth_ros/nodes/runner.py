@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import faulthandler
 import functools
 import inspect
-import signal
+import os
 import sys
 
 import rclpy
@@ -17,6 +18,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 
 from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.interrupts import handled_signals
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.nodes.base import StereoNode, log_compilation
 from stereo_depth_ros.nodes.command_line import answer_help, start_ros
@@ -29,6 +31,7 @@ from stereo_depth_ros.stages.disparity import LARGEST_AT_ONCE
 
 __all__ = ["run"]
 
+_END_S = 1.0  # after a signal, for the frame in work and the shutdown
 _SHUTDOWN_TIMEOUT_S = 4.0
 RCLError = rclpy_implementation.RCLError
 
@@ -43,11 +46,23 @@ def run(node_type: type[StereoNode]) -> int:
     interface = dataclasses.replace(node_type.interface, outputs={**node_type.interface.outputs, **COMMON_OUTPUTS})
     if answer_help(interface, about, sys.argv):
         return 0
-    transport = prepare_process()
     interrupts: list[int] = []
-    # Python's handler raises KeyboardInterrupt anywhere, in rclpy's C++ too, where it is lost or becomes another
-    # error. rclpy shuts its context down by itself on a signal.
-    signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
+    # Python's own handler raises KeyboardInterrupt anywhere, in rclpy's C++ too, where it is lost or becomes another
+    # error. rclpy shuts its context down by itself on a signal. A frame of a slow matcher or the compilation of a
+    # kernel goes on for long after it: then the process ends where it is.
+    with handled_signals(
+        lambda number, _: interrupts.append(number), _END_S, _flush_logs, functools.partial(os._exit, 0)
+    ):
+        return _run(node_type, interrupts)
+
+
+def _flush_logs() -> None:
+    """rcutils buffers its log where it goes to stdout."""
+    ctypes.CDLL(None).fflush(None)
+
+
+def _run(node_type: type[StereoNode], interrupts: list[int]) -> int:
+    transport = prepare_process()
     node = None
     try:
         start_ros(sys.argv)
