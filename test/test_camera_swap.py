@@ -53,6 +53,16 @@ def test_undecided_images_pass_and_are_checked_again(verged_pair: tuple[U8, U8, 
         order.check(right, left)
 
 
+def test_every_pair_is_checked_until_one_shows_the_order(verged_pair: tuple[U8, U8, float]) -> None:
+    left, right, doffs_px = verged_pair
+    order = CameraSwapDetector(doffs_px)
+    order.check(np.zeros_like(left), np.zeros_like(right))
+    for one, other in ((right, left), (np.zeros_like(left), np.zeros_like(right))):
+        with pytest.raises(ImageError, match="cameras look swapped"):
+            order.check(one, other)  # once they are known to be swapped, a dark pair does not pass either
+    order.check(left, right)
+
+
 def test_no_thread_passes_swapped_cameras_while_another_checks(
     verged_pair: tuple[U8, U8, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:

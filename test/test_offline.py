@@ -16,7 +16,7 @@ from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config
-from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.errors import BagError, ImageError
 from stereo_depth_ros.matching import MATCHERS
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
@@ -97,6 +97,20 @@ def write_with_wrong_image(path: Path, bad: tuple[int, ...]) -> None:
                 pixels = image.pixels[: HEIGHT - 2] if side == "left" and index in bad else image.pixels
                 bag.write(f"/{side}/camera_info", camera_info_message(types, camera, stamp), stamp)
                 bag.write(f"/{side}/image_raw", image_message(types, pixels, "mono8", stamp, side), stamp)
+
+
+def test_swapped_cameras_leave_no_output_even_where_a_later_pair_shows_it(tmp_path: Path) -> None:
+    made, types = sequence(3), RosbagsTypes()
+    with BagWriter(tmp_path / "in.mcap") as bag:
+        for index, frame in enumerate(made):
+            images = {"left": frame.pair.right.pixels, "right": frame.pair.left.pixels}  # swapped
+            for side, camera in (("left", made.rig.left), ("right", made.rig.right)):
+                stamp_ns, pixels = made.stamp_ns(index), images[side] if index else np.zeros((HEIGHT, WIDTH), np.uint8)
+                bag.write(f"/{side}/camera_info", camera_info_message(types, camera, stamp_ns), stamp_ns)
+                bag.write(f"/{side}/image_raw", image_message(types, pixels, "mono8", stamp_ns, ""), stamp_ns)
+    with pytest.raises(ImageError, match=r"in\.mcap: cameras look swapped: .*: exchange the image topics of left and"):
+        process_bag(BagSelection(tmp_path / "in.mcap"), tmp_path / "out.mcap", CONFIG)
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
 def test_refused_pair_is_skipped_and_reported(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import TypeVar
 __all__ = [
     "BagError",
     "CalibrationError",
+    "CameraOrderError",
     "ConfigError",
     "GraphError",
     "ImageError",
@@ -77,6 +78,10 @@ class CalibrationError(StereoDepthError):
 
 class ImageError(StereoDepthError):
     """Images that cannot be used: wrong shape or dtype, or different sizes."""
+
+
+class CameraOrderError(ImageError):
+    """The images show that left and right are swapped, so that no disparity of the whole stream is right."""
 
 
 class MessageError(StereoDepthError):

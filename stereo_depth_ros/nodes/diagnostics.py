@@ -78,7 +78,9 @@ class NodeDiagnostics:
         try:
             yield
         except StereoDepthError as error:
-            self.report_error(type(error).__name__, error_text(error), f"{error.subject}: {error.problem}")
+            kind, *wider = (each.__name__ for each in type(error).__mro__ if issubclass(each, StereoDepthError))
+            self.counters.update(wider[:-1])  # of an ImageError that has a class of its own too
+            self.report_error(kind, error_text(error), f"{error.subject}: {error.problem}")
         except Exception as error:  # the boundary of the node
             if not self._node.context.ok():
                 return  # the node is shutting down: publishers are gone

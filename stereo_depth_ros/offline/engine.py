@@ -16,7 +16,7 @@ from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig
-from stereo_depth_ros.core.errors import BagError, OutputError, StereoDepthError
+from stereo_depth_ros.core.errors import BagError, CameraOrderError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.messages.bit_depth import BitDepth
@@ -50,6 +50,7 @@ def process_bag(
 
     Raises:
         BagError, TopicError: no readable stereo bag, or no pair that can be processed.
+        CameraOrderError: left and right are swapped, which a pair shows at last; nothing is written.
         OutputError: an existing output without ``overwrite``, an output that is read, or it cannot be written.
         ConfigError: parameters that contradict each other.
     """
@@ -63,6 +64,8 @@ def process_bag(
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
                     timings_ms = engine.process(pair, pairs.topics.image_type, writer)
+                except CameraOrderError as error:  # of the pairs before it too, which showed too little
+                    raise error.about(selection.path) from error
                 except OutputError:
                     raise
                 except StereoDepthError as error:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.errors import CameraOrderError
 from stereo_depth_ros.core.types import U8
 
 __all__ = ["CameraSwapDetector"]
@@ -20,7 +20,6 @@ _DISPARITIES = 48  # px of those: nearly a seventh of the width
 _WINDOW = 15
 _ENOUGH = 0.3  # minimum share of smooth matches for a decision
 _CLEARLY = 2.0  # minimum ratio of the shares; correct pairs of a dozen scenes have 3.6 to 14
-_AGAIN = 10  # frames between checks while undecided
 
 
 class CameraSwapDetector:
@@ -33,11 +32,11 @@ class CameraSwapDetector:
     def __init__(self, doffs_px: float) -> None:
         self._doffs_px = doffs_px
         self._known = False
-        self._frames = 0
+        self._fault: CameraOrderError | None = None
         self._turn = threading.Lock()
 
     def check(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None = None) -> None:
-        """Check pairs until one confirms the order; undecided pairs are accepted.
+        """Check every pair until one confirms the order; undecided ones pass unless an earlier one was swapped.
 
         Args:
             left, right: uint8 (H, W), rectified, in the given order.
@@ -45,7 +44,7 @@ class CameraSwapDetector:
                 which is unreliable if the two rectifications differ much.
 
         Raises:
-            ImageError: the cameras are swapped.
+            CameraOrderError: the cameras are swapped.
         """
         if self._known or left.shape != right.shape:
             return
@@ -54,14 +53,11 @@ class CameraSwapDetector:
                 self._decide(left, right, exchange)
 
     def _decide(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None) -> None:
-        self._frames += 1
-        if self._frames % _AGAIN != 1:
-            return
         as_given = _smooth_share(left, right, self._doffs_px)
         swapped = _smooth_share(*(exchange() if exchange else (right, left)), self._doffs_px)
+        self._known = as_given > _ENOUGH and as_given > _CLEARLY * swapped
         if swapped > _ENOUGH and swapped > _CLEARLY * as_given:
-            self._frames = 0  # check the next pair again
-            raise ImageError(
+            self._fault = CameraOrderError(
                 f"cameras look swapped: {100 * swapped:.0f} % of the pixels match with left and right exchanged, "
                 f"{100 * as_given:.0f} % as given",
                 value=swapped,
@@ -69,7 +65,8 @@ class CameraSwapDetector:
                 remedy="exchange the image topics of left and right",
                 settings=("left", "right"),
             )
-        self._known = as_given > _ENOUGH and as_given > _CLEARLY * swapped
+        if self._fault is not None and not self._known:
+            raise self._fault.with_traceback(None)
 
 
 def _smooth_share(left: U8, right: U8, doffs_px: float) -> float:

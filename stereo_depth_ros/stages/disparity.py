@@ -64,7 +64,8 @@ class DisparityStage:
             exchange: rectifies the raw images in the other order, see :class:`CameraSwapDetector`.
 
         Raises:
-            ImageError: different sizes, images too small for the search range, or swapped cameras.
+            ImageError: different sizes, or images too small for the search range.
+            CameraOrderError: swapped cameras.
         """
         if self._swap_detector is not None:
             self._swap_detector.check(left, right, exchange)

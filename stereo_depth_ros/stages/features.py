@@ -38,7 +38,8 @@ class FeatureStage:
             left, right: uint8 (H, W), rectified.
 
         Raises:
-            ImageError: different sizes, images too small for the search range, or swapped cameras.
+            ImageError: different sizes, or images too small for the search range.
+            CameraOrderError: swapped cameras.
         """
         self._swap_detector.check(left, right)
         matches = self._matcher.find(left, right).inside(self._left_seen, self._right_seen)
