@@ -43,6 +43,11 @@ class StereoPipeline:
         self._rectifier = Rectifier(rig)
         self._disparity = DisparityStage(config.matching, self._rectifier)
 
+    @property
+    def shown(self) -> float:
+        """Share of the rectified images that has a source, 0..1."""
+        return self._rectifier.shown
+
     def with_config(self, config: PipelineConfig) -> StereoPipeline:
         """A pipeline of the same rig with other parameters; stages with unchanged parameters are shared.
 

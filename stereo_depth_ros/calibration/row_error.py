@@ -62,14 +62,18 @@ class RowMatches:
         return float(np.sqrt(np.mean(self.errors_px**2))) if len(self) else math.nan
 
 
-def match_rows(left: U8, right: U8) -> RowMatches:
+def match_rows(
+    left: U8, right: U8, corners_per_cell: int = CORNERS_PER_CELL, reach_px: float | None = None
+) -> RowMatches:
     """Match FAST corners (Rosten and Drummond 2006) by mutually best ORB descriptors (Rublee et al. 2011).
 
-    Rows may differ by 5 % of the height. Right points are refined to sub-pixel accuracy (Lucas and Kanade 1981), and
+    Right points are refined to sub-pixel accuracy (Lucas and Kanade 1981), and
     rejected where tracking back does not end at the left point.
 
     Args:
         left, right: uint8 (H, W), gray, rectified.
+        corners_per_cell: largest number of corners of each of 60 cells of the left image; fewer are faster.
+        reach_px: largest row error that is found, px; None is 5 % of the height, at least 8 px.
 
     Returns:
         The matches, in a fixed order; few or none where the images show different scenes. Outliers from a plane fitted
@@ -79,22 +83,23 @@ def match_rows(left: U8, right: U8) -> RowMatches:
         ImageError: not two gray uint8 images of one size.
     """
     check_images(left, right)
-    left_xy, left_bits = detect_fast(left, FAST_THRESHOLD, CELLS, CORNERS_PER_CELL)
-    right_xy, right_bits = detect_fast(right, FAST_THRESHOLD, CELLS, 2 * CORNERS_PER_CELL)
+    left_xy, left_bits = detect_fast(left, FAST_THRESHOLD, CELLS, corners_per_cell)
+    right_xy, right_bits = detect_fast(right, FAST_THRESHOLD, CELLS, 2 * corners_per_cell)
     if min(len(left_xy), len(right_xy)) < 2:
         return RowMatches(np.empty((0, 2)), np.empty((0, 2)))
     distances = squared_distances(left_bits, right_bits)
-    distances[~_candidates(left_xy, right_xy, left.shape)] = np.inf
+    reach_px = max(8, LARGEST_ROW_ERROR * len(left)) if reach_px is None else reach_px
+    distances[~_candidates(left_xy, right_xy, LARGEST_DISPARITY * left.shape[1], reach_px)] = np.inf
     i, j = mutual_best(distances, RATIO)
     close = distances[i, j] <= MAX_BITS
     return _without_outliers(_refined(left, right, left_xy[i[close]], right_xy[j[close]]))
 
 
-def _candidates(left_xy: F64, right_xy: F64, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    """bool (N, M), the pairs of corners within the largest row error and disparity."""
+def _candidates(left_xy: F64, right_xy: F64, x_px: float, y_px: float) -> npt.NDArray[np.bool_]:
+    """bool (N, M), the pairs of corners within the largest disparity and row error."""
     (left_x, left_y), (right_x, right_y) = left_xy.astype(np.float32).T, right_xy.astype(np.float32).T
-    near: npt.NDArray[np.bool_] = np.abs(left_x[:, None] - right_x) <= LARGEST_DISPARITY * shape[1]
-    near &= np.abs(left_y[:, None] - right_y) <= max(8, LARGEST_ROW_ERROR * shape[0])
+    near: npt.NDArray[np.bool_] = np.abs(left_x[:, None] - right_x) <= x_px
+    near &= np.abs(left_y[:, None] - right_y) <= y_px
     return near
 
 

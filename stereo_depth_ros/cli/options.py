@@ -24,6 +24,7 @@ __all__ = [
     "Right",
     "Separate",
     "Start",
+    "Strict",
     "new_app",
 ]
 
@@ -63,6 +64,11 @@ ParamsFile = Annotated[
 ]
 Separate = Annotated[
     bool, typer.Option("--separate", help="Start one process for each node instead of one for all stages.")
+]
+
+Strict = Annotated[
+    bool,
+    typer.Option("--strict", help="End with an error where the first pairs do not fit the calibration; else warn."),
 ]
 
 

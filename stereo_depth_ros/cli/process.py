@@ -19,6 +19,7 @@ from stereo_depth_ros.cli.options import (
     ParamsFile,
     Right,
     Start,
+    Strict,
     new_app,
 )
 from stereo_depth_ros.cli.output import parameter_files, prepare_kernels, progress_bar
@@ -43,6 +44,7 @@ def process(
     duration: Duration = 0.0,
     left: Left = None,
     right: Right = None,
+    strict: Strict = False,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -63,5 +65,5 @@ def process(
     prepare_kernels(config.matching)
     selection = BagSelection(bag, left, right, start, duration)
     with progress_bar("computing") as progress:
-        result = process_bag(selection, output, config, progress, overwrite=overwrite)
+        result = process_bag(selection, output, config, progress, overwrite=overwrite, strict=strict)
     finish_run(result, json_file, overwrite)

@@ -24,6 +24,7 @@ from stereo_depth_ros.cli.options import (
     Right,
     Separate,
     Start,
+    Strict,
     new_app,
 )
 from stereo_depth_ros.cli.output import parameter_files
@@ -63,6 +64,7 @@ def replay(
     auto_correct: Annotated[
         bool, typer.Option("--auto-correct", help="Run the calibration monitor and rectify with its correction.")
     ] = False,
+    strict: Strict = False,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -93,6 +95,7 @@ def replay(
         left_topic=left or "",
         right_topic=right or "",
         in_flight=in_flight,
+        strict=strict,
     )
     shape, values = "separate" if separate else "fused", parse_assignments(param or (), matcher)
     monitor: Literal["", "report", "correct"] = "report" if health else ""

@@ -23,6 +23,7 @@ from stereo_depth_ros.diagnosis.checks.rig import (
     check_frame_names,
     check_image_size,
     check_pair,
+    check_shown,
     rectification_rig,
 )
 from stereo_depth_ros.diagnosis.checks.rows import (
@@ -40,8 +41,6 @@ from stereo_depth_ros.diagnosis.verdict import Diagnosis
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["diagnose"]
-
-MIN_SHOWN = 0.4  # share of the rectified image that has a source; wide lenses with alpha = 1 have 60 % and more
 
 
 def diagnose(setup: StereoSetup, progress: Callable[[int, int], None] = lambda done, total: None) -> Diagnosis:
@@ -234,13 +233,5 @@ def _rectified(
         return rectified.left, rectified.right
 
     given = [rectify(pair.left, pair.right) for pair in setup.pairs]
-    shown = float(min(rectifier.left_source.mean(), rectifier.right_source.mean()))
-    return given, lambda: [rectify(pair.right, pair.left) for pair in setup.pairs], _check_shown(shown)
-
-
-def _check_shown(shown: float) -> Finding:
-    value, limit = f"{100 * shown:.0f} % of the rectified image has a source", f"{100 * MIN_SHOWN:.0f} %"
-    if shown >= MIN_SHOWN:
-        return Finding("rectified image", Level.OK, value, limit, "", {"share": shown})
-    remedy = "R and P do not fit K: use all matrices of one calibration, or calibrate again"
-    return Finding("rectified image", Level.WARNING if shown else Level.ERROR, value, limit, remedy, {"share": shown})
+    shown = rectifier.shown
+    return given, lambda: [rectify(pair.right, pair.left) for pair in setup.pairs], check_shown(shown)

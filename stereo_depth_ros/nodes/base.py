@@ -133,14 +133,14 @@ class StereoNode(Node):  # type: ignore[misc]
         self,
         prepare: Callable[[Any], Any],
         work: Callable[[Any], Any],
-        publish: Callable[[Any], None],
+        publish: Callable[[Future[Any]], None],
         at_once: Callable[[Any], int],
     ) -> None:
-        """Frames of :meth:`add_frame` go through these steps, see :class:`Overlap`; what a step raises is reported."""
+        """Frames of :meth:`add_frame` go through these steps, see :class:`Overlap`; errors are reported."""
 
         def deliver(result: Future[Any]) -> None:
             with self.diagnostics.catch():
-                publish(result.result())
+                publish(result)
 
         self.frames = Overlap(prepare, work, deliver, at_once)
         self.on_idle.append(self.frames.drop_waiting)

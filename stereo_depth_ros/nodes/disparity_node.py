@@ -14,6 +14,7 @@ from stereo_depth_ros.messages.disparity import match_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.first_pairs_watch import FirstPairsWatch
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
 from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
@@ -40,6 +41,7 @@ class DisparityNode(StereoNode):
         self._pool = PayloadPool(self.types)
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._stage = functools.lru_cache(maxsize=1)(DisparityStage)
+        self._first_pairs = FirstPairsWatch(self)
         self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("disparity")
         self._pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
@@ -52,8 +54,11 @@ class DisparityNode(StereoNode):
     def _match(self, left: Any, right: Any, rig: StereoRig) -> None:
         config = self.parameters.get(MatchingConfig)
         pair = self._pairs.decode(left, right, rig)
-        with self.diagnostics.timed("match"):
-            match = self._stage(config, self._rectifier(rig)).match(to_gray(pair.left), to_gray(pair.right))
+        left, right, rectifier = to_gray(pair.left), to_gray(pair.right), self._rectifier(rig)
+        with self._first_pairs.refusing():
+            with self.diagnostics.timed("match"):
+                match = self._stage(config, rectifier).match(left, right)
+            self._first_pairs.look(rig, rectifier.shown, pair, left, right, match)
         self._output.publish(match_message(self.types, self._pool, match, config, rig, pair.left))
 
 

@@ -23,10 +23,11 @@ from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
-from stereo_depth_ros.core.errors import BagError, GraphError, StereoDepthError
+from stereo_depth_ros.core.errors import BagError, CalibrationError, CameraOrderError, GraphError, StereoDepthError
 from stereo_depth_ros.core.interrupts import handled_signals
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.nodes.command_line import answer_help, start_ros
+from stereo_depth_ros.nodes.first_pairs_watch import FIRST_PAIRS, ORDER
 from stereo_depth_ros.nodes.interface import NodeInterface
 from stereo_depth_ros.nodes.parameters import error_text, parameters_of_ros
 from stereo_depth_ros.nodes.replay.graph_ports import PUBLISHED, SUBSCRIBED, GraphPorts
@@ -73,6 +74,8 @@ def replay(
     Raises:
         BagError, TopicError: nothing to play.
         OutputError: the output exists and is not to be overwritten, or it is read, or it cannot be written.
+        CameraOrderError: left and right are swapped; nothing is recorded.
+        CalibrationError: the first pairs do not fit the calibration, with ``strict``; nothing is recorded.
         GraphError: an input has no subscriber, an output no publisher, or no output arrives.
     """
     prepare_process()
@@ -119,6 +122,7 @@ def play(
                 intruders = "; ".join(ports.intruders())  # may be discovered only while the bag plays
             finally:
                 ports.close()
+            _check_rig(options, ports)
             _check_played(options, player, ports.errors_reported())
         result = RunReport(
             bag=options.selection.path,
@@ -136,6 +140,14 @@ def play(
         return result
     topic = node.resolve_topic_name("disparity")
     return dataclasses.replace(result, score=score_disparity(options.output_path, options.selection.path, topic))
+
+
+def _check_rig(options: ReplayOptions, ports: GraphPorts) -> None:
+    """Refuse to keep outputs of swapped cameras, and with ``strict`` of a calibration that does not fit."""
+    if fault := ports.reported(ORDER):
+        raise CameraOrderError(fault, subject=options.bag, settings=("left_topic", "right_topic"))
+    if options.strict and (fault := ports.reported(FIRST_PAIRS)):
+        raise CalibrationError(fault, subject=options.bag)
 
 
 def _check_played(options: ReplayOptions, player: Player, errors_reported: str) -> None:

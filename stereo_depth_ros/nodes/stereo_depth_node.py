@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future
 from typing import Any, NamedTuple
 
 from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, PairingConfig, PipelineConfig
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
+from stereo_depth_ros.nodes.first_pairs_watch import FirstPairsWatch
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
 from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
@@ -47,6 +49,7 @@ class StereoDepthNode(StereoNode):
         self.parameters.require(MatchingConfig, self.check_matcher)
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         self._pipeline: StereoPipeline | None = None
+        self._first_pairs = FirstPairsWatch(self)
         self._messages = ResultMessages(self.types)
         self._calibration = CalibrationInput(self)
         self._results = [(self.add_output(row.topic), row.topic, row.build) for row in OUTPUTS]
@@ -62,11 +65,15 @@ class StereoDepthNode(StereoNode):
         pair = self._pairs.decode(frame.left, frame.right, frame.rig)
         return frame.pipeline, frame.pipeline.prepare(pair)
 
-    def _match(self, prepared: tuple[StereoPipeline, PreparedPair]) -> StereoResult:
+    def _match(self, prepared: tuple[StereoPipeline, PreparedPair]) -> tuple[StereoPipeline, StereoResult]:
         pipeline, pair = prepared
-        return pipeline.match(pair)
+        return pipeline, pipeline.match(pair)
 
-    def _publish(self, result: StereoResult) -> None:
+    def _publish(self, future: Future[tuple[StereoPipeline, StereoResult]]) -> None:
+        with self._first_pairs.refusing():
+            pipeline, result = future.result()
+            rig, (left, right) = result.calibrated_rig, (result.rectified.left, result.rectified.right)
+            self._first_pairs.look(rig, pipeline.shown, result.pair, left, right, result.disparity)
         for output, topic, build in self._results:
             if output.wanted:
                 start = time.perf_counter()

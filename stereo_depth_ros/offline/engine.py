@@ -18,6 +18,7 @@ from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import BagError, CameraOrderError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import stamp_text
@@ -36,6 +37,7 @@ def process_bag(
     progress: Callable[[int, int], None] = lambda done, total: None,
     *,
     overwrite: bool = False,
+    strict: bool = False,
 ) -> RunReport:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
@@ -47,9 +49,11 @@ def process_bag(
         config: parameters of all stages.
         progress: called with the pairs done and an upper bound of all pairs.
         overwrite: replace an existing output.
+        strict: raise what is a warning otherwise: the first pairs do not fit the calibration, see :class:`FirstPairs`.
 
     Raises:
         BagError, TopicError: no readable stereo bag, or no pair that can be processed.
+        CalibrationError, ImageError: the first pairs do not fit the calibration, with ``strict``; nothing is written.
         CameraOrderError: left and right are swapped, which a pair shows at last; nothing is written.
         OutputError: an existing output without ``overwrite``, an output that is read, or it cannot be written.
         ConfigError: parameters that contradict each other.
@@ -74,8 +78,11 @@ def process_bag(
                 else:
                     for stage, ms in timings_ms.items():
                         stages_ms[stage].append(ms)
+                _refuse(engine.fault, selection.path, strict)
                 progress(sent, pairs.count)
             wall_s = time.perf_counter() - start
+            engine.finish()
+            _refuse(engine.fault, selection.path, strict)
             if engine.rig is None or not writer.message_count:
                 reasons = "; ".join(refused.values()) or "it holds no pairs of the given pairing"
                 raise BagError(
@@ -96,30 +103,61 @@ def process_bag(
             wall_s=wall_s,
             stages_ms={stage: (percentile(times, 50), percentile(times, 95)) for stage, times in stages_ms.items()},
             score=score_disparity(output, selection.path),
-            warnings=(*((pairs.warning,) if pairs.warning else ()), *refused.values()),
+            warnings=(
+                *((pairs.warning,) if pairs.warning else ()),
+                *refused.values(),
+                *([str(engine.fault)] if engine.fault else []),
+            ),
         )
 
 
+def _refuse(fault: StereoDepthError | None, bag: Path, strict: bool) -> None:
+    if fault is not None and (strict or isinstance(fault, CameraOrderError)):
+        raise fault.about(bag)
+
+
 class _Engine:
-    """Computes serialized pairs; the pipeline is rebuilt when a camera info changes."""
+    """Computes serialized pairs; the pipeline is rebuilt when a camera info changes, and the first pairs examined.
+
+    Attributes:
+        rig: of the last pair.
+        fault: the first one that the first pairs of a rig show; None where they show none.
+    """
 
     def __init__(self, config: PipelineConfig) -> None:
         self._types = RosbagsTypes()
         self._messages = ResultMessages(self._types)
-        self._pipelines = PerCalibration(self._types, lambda rig: StereoPipeline(config, rig))
+        self._config = config
+        self._pipelines = PerCalibration(self._types, self._build)
         self._depth = BitDepth()
-        self.rig: StereoRig | None = None  # of the last pair
+        self._first: FirstPairs | None = None
+        self.rig: StereoRig | None = None
+        self.fault: StereoDepthError | None = None
 
     def process(self, pair: SerializedPair, image_type: str, writer: BagWriter) -> dict[str, float]:
         """Compute a pair and write its messages; returns milliseconds per stage."""
         pipeline = self._pipelines.of(pair)
         result = pipeline.process(pair.images(self._types, image_type, pipeline.rig, self._depth))
         self.rig = result.calibrated_rig
+        assert self._first is not None  # made with the pipeline
+        fault = self._first.look(result.pair, result.rectified.left, result.rectified.right, result.disparity)
+        self.fault = self.fault or fault
         writer.write_raw("/left/camera_info", INFO_TYPE, pair.left_info, pair.stamp_ns)
         writer.write_raw("/right/camera_info", INFO_TYPE, pair.right_info, pair.right_stamp_ns)
         for topic, message in self._outputs(result):
             writer.write(topic, message, result.stamp_ns)
         return result.timings_ms
+
+    def finish(self) -> None:
+        """No more pair of the current rig comes."""
+        if self._first is not None:
+            self.fault = self.fault or self._first.finish()
+
+    def _build(self, rig: StereoRig) -> StereoPipeline:
+        self.finish()
+        pipeline = StereoPipeline(self._config, rig)
+        self._first = FirstPairs(rig, pipeline.shown)
+        return pipeline
 
     def _outputs(self, result: StereoResult) -> Iterator[tuple[str, Any]]:
         for topic, _, build in OUTPUTS:

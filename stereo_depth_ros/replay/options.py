@@ -46,6 +46,7 @@ class ReplayOptions:
     left_topic: str = _option("", "Left image topic in the bag; empty finds it.")
     right_topic: str = _option("", "Right image topic in the bag; empty finds it.")
     in_flight: int = _option(1, "Maximum number of pairs in the graph at one time.", low=1, high=100)
+    strict: bool = _option(False, "End with an error where the first pairs do not fit the calibration.")
 
     def __post_init__(self) -> None:
         for info in parameter_infos(self):

@@ -78,6 +78,11 @@ class Rectifier:
         """bool (H, W), true where the rectified right pixel is interpolated from raw pixels only."""
         return np.equal(self.rectify_right(self._white()), 255)
 
+    @cached_property
+    def shown(self) -> float:
+        """Share of the rectified image that has a source, 0..1, of the camera that has less."""
+        return float(min(self.left_source.mean(), self.right_source.mean()))
+
     def seen(self, support_px: tuple[int, int]) -> tuple[U8, U8]:
         """Valid pixels of a method: the source masks eroded by the support of its matching cost.
 

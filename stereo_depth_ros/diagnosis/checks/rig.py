@@ -29,9 +29,10 @@ from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.diagnosis.checks.cameras import fits_image
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 
-__all__ = ["check_frame", "check_frame_names", "check_image_size", "check_pair", "rectification_rig"]
+__all__ = ["check_frame", "check_frame_names", "check_image_size", "check_pair", "check_shown", "rectification_rig"]
 
 WIDE_BASELINE_M = 1.5  # few rigs are wider; a small one with centimeters taken for meters is
+MIN_SHOWN = 0.4  # share of the rectified image that has a source; wide lenses with alpha = 1 have 60 % and more
 FULL_SIZE_MM = 20.0  # a baseline of more meters than this was in millimeters, else in centimeters
 _EXAMPLE_BASELINE_M = 0.1
 _ANY_MATRIX = np.identity(3)
@@ -185,6 +186,15 @@ def check_frame_names(left: CameraModel, right: CameraModel) -> list[Finding]:
         return []
     value, remedy = f"{left.frame_id}, {right.frame_id}", "exchange the frame_ids, or the camera infos"
     return [Finding("frame names", Level.WARNING, value, "left, right", remedy)]
+
+
+def check_shown(shown: float) -> Finding:
+    """Whether enough of the rectified images has a source; ``shown`` is its share, 0..1."""
+    value, limit = f"{100 * shown:.0f} % of the rectified image has a source", f"{100 * MIN_SHOWN:.0f} %"
+    if shown >= MIN_SHOWN:
+        return Finding("rectified image", Level.OK, value, limit, "", {"share": shown})
+    remedy = "R and P do not fit K: use all matrices of one calibration, or calibrate again"
+    return Finding("rectified image", Level.WARNING if shown else Level.ERROR, value, limit, remedy, {"share": shown})
 
 
 def _size_remedy(camera: CameraModel | None, sensor: tuple[int, int], width: int, height: int) -> str:

@@ -160,6 +160,11 @@ class GraphPorts:
         """The first errors that the nodes have reported; empty where there are none."""
         return "; ".join(self._errors[:_MOST_ERRORS])
 
+    def reported(self, name: str) -> str:
+        """The first value of that name in the newest diagnostics; empty where there is none."""
+        values = (item.value for status in self._statuses.values() for item in status.values if item.key == name)
+        return next(values, "")
+
     def warn(self, text: str) -> None:
         """Log a warning."""
         self._node.get_logger().warning(text)
