@@ -31,7 +31,10 @@ MIN_MATCHES = 40
 AGREE_PX, MIN_AGREEING = 2.0, 0.75  # row errors of neighbors; share of the matches with such a neighbor
 MAJORITY = 2  # of three conclusive pairs
 ALWAYS, EVERY, LOOKS = 10, 10, 40  # the first pairs, then each tenth, up to so many that are examined
-REMEDY = "the images are not rectified, or the calibration does not belong to them: run stereo-depth doctor"
+REMEDY = (
+    "the images are not rectified, left and right are swapped, or the calibration does not belong to them: run "
+    "stereo-depth doctor"
+)
 
 
 class FirstPairs:
@@ -105,14 +108,12 @@ class FirstPairs:
     def _fault_of_rig(self) -> StereoDepthError | None:
         """What the camera infos alone show."""
         rig = self._rig
-        findings: list[tuple[str, Finding]] = [(" and ".join(rig.topics), check_shown(self._shown))]
-        for side, camera, topic in (("left", rig.left, rig.topics[0]), ("right", rig.right, rig.topics[1])):
-            findings += [(topic, each) for each in check_resolution(camera, side, rig.width, rig.height)[:1]]
-        for topic, finding in findings:
-            if finding.level is Level.ERROR or (finding.check == "rectified image" and finding.level > Level.OK):
-                problem = f"{finding.check}: {finding.value}, limit {finding.limit}"
-                return CalibrationError(problem, subject=topic, limit=finding.limit, remedy=finding.remedy)
-        return None
+        for camera, topic in zip((rig.left, rig.right), rig.topics, strict=True):
+            center = check_resolution(camera, "", rig.width, rig.height)[0]
+            if center.level is Level.ERROR:
+                return _refused(f"the center of K is at {center.value}", topic, center)
+        shown = check_shown(self._shown)
+        return None if shown.level is Level.OK else _refused(shown.value, " and ".join(rig.topics), shown)
 
     def _examine(
         self, pair: StereoPair, left: U8, right: U8, match: MatchResult
@@ -144,6 +145,12 @@ class FirstPairs:
             remedy="exchange the image topics of left and right, or calibrate again if they are in order",
             settings=("left", "right"),
         )
+
+
+def _refused(problem: str, subject: str, finding: Finding) -> CalibrationError:
+    return CalibrationError(
+        f"{problem}, limit {finding.limit}", subject=subject, limit=finding.limit, remedy=finding.remedy
+    )
 
 
 def _agreeing(matches: RowMatches) -> float:
