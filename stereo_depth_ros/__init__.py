@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from stereo_depth_ros.core.errors import (
         BagError,
         CalibrationError,
+        CameraOrderError,
         ConfigError,
         GraphError,
         ImageError,
@@ -32,6 +33,7 @@ __all__ = [
     "BagError",
     "CalibrationError",
     "CameraModel",
+    "CameraOrderError",
     "ConfigError",
     "Frame",
     "GraphError",
@@ -58,7 +60,7 @@ _NAMES = {
     "config": ("MatchingConfig", "PipelineConfig"),
     "core.camera": ("CameraModel",),
     "core.errors": (
-        *("BagError", "CalibrationError", "ConfigError", "GraphError", "ImageError"),
+        *("BagError", "CalibrationError", "CameraOrderError", "ConfigError", "GraphError", "ImageError"),
         *("MessageError", "OutputError", "StereoDepthError", "TopicError"),
     ),
     "core.rig": ("StereoRig",),

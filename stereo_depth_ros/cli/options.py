@@ -68,7 +68,9 @@ Separate = Annotated[
 
 Strict = Annotated[
     bool,
-    typer.Option("--strict", help="End with an error where the first pairs do not fit the calibration; else warn."),
+    typer.Option(
+        "--strict", help="End with an error instead of a warning where the first pairs do not fit the calibration."
+    ),
 ]
 
 
