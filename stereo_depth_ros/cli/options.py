@@ -69,7 +69,7 @@ Separate = Annotated[
 Strict = Annotated[
     bool,
     typer.Option(
-        "--strict", help="End with an error instead of a warning where the first pairs do not fit the calibration."
+        "--strict", help="Keep nothing, and end with an error, where the first pairs do not fit the calibration."
     ),
 ]
 
