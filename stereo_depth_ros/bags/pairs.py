@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +15,7 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.topics import INFO_TYPE, StereoTopics
 from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.calibration_history import CalibrationHistory
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
@@ -157,9 +159,10 @@ class PerCalibration(Generic[T]):
 class BagPairs:
     """An open stereo bag.
 
-    The camera infos of a pair are the last ones before it, or the first ones of the bag, with the stamps of its images:
-    camera infos that a driver published only once serve the whole bag. Where the topic names state that the images are
-    rectified, the camera infos become those of rectified images, so that nothing is rectified twice.
+    The camera infos of a pair are those that apply to its stamps, see :class:`CalibrationHistory`, or the first ones of
+    the bag, with the stamps of its images: camera infos that a driver published only once serve the whole bag. Where
+    the topic names state that the images are rectified, the camera infos become those of rectified images, so that
+    nothing is rectified twice.
 
     Args:
         selection: bag, topics and part of it.
@@ -196,17 +199,18 @@ class BagPairs:
             BagError: the bag is damaged where it is read.
         """
         pairing: StereoPairing[bytes] = StereoPairing(self._pairing_config)
-        infos = self._first_infos()
+        calibrated = _CalibratedPairs(self._first_infos(), self._info_topics, self._pairing_config.queue_size)
         for message in self._messages():
-            if message.topic in infos:
-                infos[message.topic] = self._info_of_images(message)
+            if message.topic in self._info_topics:
+                yield from calibrated.add_info(message.topic, self._info_of_images(message))
                 continue
             is_left = message.topic == self.topics.left_image
             add = pairing.add_left if is_left else pairing.add_right
             for left, right in add(cdr_stamp_ns(message.data), message.data):
-                yield self._pair(left, right, infos)
+                yield from calibrated.add_pair(left, right)
         for left, right in pairing.flush():
-            yield self._pair(left, right, infos)
+            yield from calibrated.add_pair(left, right)
+        yield from calibrated.flush()
         self.unpaired_left, self.unpaired_right = pairing.counts.dropped_left, pairing.counts.dropped_right
 
     def close(self) -> None:
@@ -260,18 +264,59 @@ class BagPairs:
         wanted = [self.topics.left_image, self.topics.right_image, *self._info_topics]
         return self._reader.messages(wanted, start_ns, start_ns + duration_ns if duration_ns else None)
 
-    def _pair(self, left: bytes, right: bytes, infos: dict[str, bytes]) -> SerializedPair:
-        stamp_ns, right_stamp_ns = cdr_stamp_ns(left), cdr_stamp_ns(right)
-        left_info, right_info = (infos[topic] for topic in self._info_topics)
-        return SerializedPair(
-            stamp_ns,
-            right_stamp_ns,
-            left,
-            right,
-            with_stamp(left_info, stamp_ns),
-            with_stamp(right_info, right_stamp_ns),
-            self._info_topics,
-        )
+
+class _CalibratedPairs:
+    """Gives pairs their camera infos; a pair waits for those of its stamps, which may follow it in the bag.
+
+    Args:
+        first: camera info of each topic that applies before others are added.
+        topics: of the camera infos, left and right.
+        queue_size: pairs that wait at most.
+    """
+
+    def __init__(self, first: Mapping[str, bytes], topics: tuple[str, str], queue_size: int) -> None:
+        self._topics = topics
+        self._queue_size = queue_size
+        self._history: CalibrationHistory[bytes] = CalibrationHistory()
+        self._waiting: deque[tuple[bytes, bytes]] = deque()
+        for topic in dict.fromkeys(topics):
+            self._add(topic, first[topic])
+
+    def add_info(self, topic: str, info: bytes) -> Iterator[SerializedPair]:
+        """Add a camera info; the pairs that need not wait any longer."""
+        sides = [side for side, name in enumerate(self._topics) if name == topic]
+        if any(cdr_stamp_ns(info) <= (self._history.last_ns(side) or 0) for side in sides):
+            yield from self.flush()  # where stamps do not tell, it applies from here on
+        self._add(topic, info)
+        while self._waiting and not self._history.lacks(_stamps_ns(self._waiting[0])):
+            yield self._calibrated(self._waiting.popleft())
+
+    def add_pair(self, left: bytes, right: bytes) -> Iterator[SerializedPair]:
+        """Add both images of a pair; the pairs that need not wait."""
+        self._waiting.append((left, right))
+        while len(self._waiting) > self._queue_size or (
+            self._waiting and not self._history.lacks(_stamps_ns(self._waiting[0]))
+        ):
+            yield self._calibrated(self._waiting.popleft())
+
+    def flush(self) -> Iterator[SerializedPair]:
+        """The pairs that wait."""
+        while self._waiting:
+            yield self._calibrated(self._waiting.popleft())
+
+    def _add(self, topic: str, info: bytes) -> None:
+        for side, name in enumerate(self._topics):
+            if name == topic:
+                self._history.add(side, cdr_stamp_ns(info), without_stamp(info), info)
+
+    def _calibrated(self, pair: tuple[bytes, bytes]) -> SerializedPair:
+        stamps_ns = _stamps_ns(pair)
+        left_info, right_info = map(with_stamp, self._history.at(stamps_ns), stamps_ns)
+        return SerializedPair(*stamps_ns, *pair, left_info, right_info, self._topics)
+
+
+def _stamps_ns(pair: tuple[bytes, bytes]) -> tuple[int, int]:
+    return cdr_stamp_ns(pair[0]), cdr_stamp_ns(pair[1])
 
 
 def read_pairs(bag: str | Path) -> Iterator[tuple[StereoPair, StereoRig]]:

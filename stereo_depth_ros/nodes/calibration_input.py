@@ -1,27 +1,44 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rig of a node from the two camera infos it receives; images that arrive before them wait."""
+"""The rig of each pair from the camera infos of its stamp; pairs wait for camera infos that are still to come."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import operator
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
+
 from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.calibration_history import CalibrationHistory
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 
 __all__ = ["CalibrationInput", "info_contents"]
 
-_LEFT, _RIGHT = "left/camera_info", "right/camera_info"
+_TOPICS = ("left/camera_info", "right/camera_info")
+_LONGEST_WAIT_S = 0.1  # of a pair for its camera infos, while the calibration changes
+_LATE = "late camera infos"
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    stamps_ns: tuple[int, int]
+    use: Callable[[StereoRig], None]
 
 
 class CalibrationInput:
-    """Holds the rig: built from both camera infos when it is needed, and rebuilt after one of them has changed.
+    """Builds the rig of the camera infos that apply to a pair, see :class:`CalibrationHistory`.
+
+    A pair waits until both cameras have a camera info. After that it waits only while the calibration is changing, for
+    the camera infos of its stamps, a tenth of a second at most: otherwise those known apply at once.
 
     Args:
         node: subscribes left/camera_info and right/camera_info.
@@ -32,70 +49,101 @@ class CalibrationInput:
     def __init__(self, node: StereoNode, *, rectified: bool = False) -> None:
         self._node = node
         self._rectified = rectified
-        self._infos: dict[str, Any] = {}
-        self._contents: dict[str, Any] = {}
-        self._rig: StereoRig | None = None
-        self._waiting: deque[Callable[[StereoRig], None]] = deque()
-        node.refuse_equal_topics(_LEFT, _RIGHT)
-        for topic in (_LEFT, _RIGHT):
-            node.add_input(topic, functools.partial(self._receive, topic))
+        self._waiting: deque[_Waiting] = deque()
+        self._timer = node.create_timer(
+            _LONGEST_WAIT_S, self._end_waiting, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        self._forget()
+        node.refuse_equal_topics(*_TOPICS)
+        for side, topic in enumerate(_TOPICS):
+            node.add_input(topic, functools.partial(self._receive, side))
         node.on_idle.append(self._forget)
+        node.diagnostics.watch_loss(_LATE, lambda: node.diagnostics.counters[_LATE], self._cause_of_late_infos)
 
-    def with_rig(self, use: Callable[[StereoRig], None]) -> None:
-        """Call ``use`` with the rig, now or as soon as it is known; dropped and counted while it is not valid.
+    def with_rig(self, use: Callable[[StereoRig], None], left: Any, right: Any = None) -> None:
+        """Call ``use`` with the rig of a pair, now or as soon as it is known; in the order of the calls.
+
+        Errors of ``use`` and camera infos that do not describe a rig are reported.
+
+        Args:
+            use: takes the rig.
+            left, right: messages of the pair, whose stamps count; right is None where there is only one.
 
         Raises:
-            CalibrationError: the camera infos received do not describe a rig.
+            CalibrationError: no camera infos arrive; the oldest pair that waits is dropped and counted.
         """
-        if len(self._infos) < 2:
-            self._wait(use)
-            return
-        if self._rig is None:
-            # Only when it is needed: when both camera infos change, one of them arrives first.
-            self._rig = self._build_rig()
-        use(self._rig)
+        self._waiting.append(_Waiting((stamp_ns(left.header), stamp_ns((right or left).header)), use))
+        self._release()
+        if len(self._waiting) > self._node.parameters.get(PairingConfig).queue_size:
+            self._release_oldest()
 
     @property
     def right_contents(self) -> tuple[Any, ...] | None:
-        """:func:`info_contents` of the newest right camera info; None before the first one."""
-        return self._contents.get(_RIGHT)
+        """:func:`info_contents` of the right camera info of the last rig; None before the first one."""
+        return None if self._built_from is None else info_contents(self._built_from[1])
 
     def _forget(self) -> None:
         """The cameras may have changed while the node was idle, and an image may arrive before its camera info."""
-        self._infos.clear()
-        self._contents.clear()
+        self._timer.cancel()
         self._waiting.clear()
-        self._rig = None
+        self._infos: CalibrationHistory[Any] = CalibrationHistory()
+        self._used_ns = [-1, -1]  # newest stamps whose camera infos were used
+        self._built_from: tuple[Any, Any] | None = None
+        self._rig: StereoRig | None = None
 
-    def _wait(self, use: Callable[[StereoRig], None]) -> None:
-        self._waiting.append(use)
-        if len(self._waiting) > self._node.parameters.get(PairingConfig).queue_size:
-            self._waiting.popleft()
-            self._node.diagnostics.counters["dropped without calibration"] += 1
-            missing = ", ".join(self._node.resolve_topic_name(t) for t in (_LEFT, _RIGHT) if t not in self._infos)
-            raise CalibrationError(
-                f"images arrive, but no message on {missing}",
-                value=0,
-                limit=1,
-                remedy="publish camera infos, or remap them",
-            )
+    def _receive(self, side: int, info: Any) -> None:
+        stamp, last_ns = stamp_ns(info.header), self._infos.last_ns(side)
+        changed = self._infos.add(side, stamp, info_contents(info), info)
+        if changed and last_ns is not None and last_ns < stamp <= self._used_ns[side]:
+            self._node.diagnostics.counters[_LATE] += 1
+        self._release()
 
-    def _receive(self, topic: str, info: Any) -> None:
-        contents = info_contents(info)
-        if self._contents.get(topic) == contents:
+    def _release(self) -> None:
+        """Use the rig for all pairs that need not wait; start the end of waiting for the others."""
+        while self._waiting and self._infos.is_known and not self._must_wait(self._waiting[0].stamps_ns):
+            self._use(self._waiting.popleft())
+        if not (self._waiting and self._infos.is_known):
+            self._timer.cancel()
+        elif self._timer.is_canceled():
+            self._timer.reset()
+
+    def _must_wait(self, stamps_ns: tuple[int, int]) -> bool:
+        return self._infos.lacks(stamps_ns) and self._infos.is_changing(stamps_ns)
+
+    def _end_waiting(self) -> None:
+        self._timer.cancel()
+        while self._waiting:
+            self._use(self._waiting.popleft())
+
+    def _release_oldest(self) -> None:
+        oldest = self._waiting.popleft()
+        if self._infos.is_known:
+            self._use(oldest)
             return
-        self._contents[topic] = contents
-        self._infos[topic] = info
-        self._rig = None
-        if len(self._infos) == 2:
-            waiting, self._waiting = self._waiting, deque()
-            for use in waiting:
-                with self._node.diagnostics.catch():
-                    self.with_rig(use)
+        self._node.diagnostics.counters["dropped without calibration"] += 1
+        missing = [topic for side, topic in enumerate(_TOPICS) if self._infos.last_ns(side) is None]
+        raise CalibrationError(
+            f"images arrive, but no message on {', '.join(map(self._node.resolve_topic_name, missing))}",
+            value=0,
+            limit=1,
+            remedy="publish camera infos, or remap them",
+        )
 
-    def _build_rig(self) -> StereoRig:
-        topics = (self._node.resolve_topic_name(_LEFT), self._node.resolve_topic_name(_RIGHT))
-        left, right = self._infos[_LEFT], self._infos[_RIGHT]
+    def _use(self, waiting: _Waiting) -> None:
+        with self._node.diagnostics.catch():
+            self._used_ns = list(map(max, self._used_ns, waiting.stamps_ns))
+            waiting.use(self._rig_of(self._infos.at(waiting.stamps_ns)))
+
+    def _rig_of(self, infos: tuple[Any, Any]) -> StereoRig:
+        """Kept until another camera info applies."""
+        is_built = self._built_from is not None and all(map(operator.is_, self._built_from, infos))
+        if self._rig is None or not is_built:
+            self._rig = None
+            self._rig, self._built_from = self._build_rig(*infos), infos
+        return self._rig
+
+    def _build_rig(self, left: Any, right: Any) -> StereoRig:
+        topics = (self._node.resolve_topic_name(_TOPICS[0]), self._node.resolve_topic_name(_TOPICS[1]))
         try:
             if self._rectified:
                 with contextlib.suppress(CalibrationError):
@@ -104,6 +152,10 @@ class CalibrationInput:
         except CalibrationError:
             self._node.diagnostics.counters["dropped without calibration"] += 1
             raise
+
+    def _cause_of_late_infos(self) -> str:
+        topics = " or ".join(map(self._node.resolve_topic_name, _TOPICS))
+        return f"{topics} changed after pairs of its stamp were computed: publish each camera info before its image"
 
 
 def info_contents(info: Any) -> tuple[Any, ...]:

@@ -87,7 +87,7 @@ class CalibrationMonitor(StereoNode):
         due = not rate or not 0 <= now_ns - self._examined_ns < 1e9 / rate
         if due:
             self._examined_ns = now_ns
-            self._calibration.with_rig(lambda rig: self._examine(left, right, rig))
+            self._calibration.with_rig(lambda rig: self._examine(left, right, rig), left, right)
 
     def _examine(self, left: Any, right: Any, rig: StereoRig) -> None:
         pair = self._pairs.decode(left, right, rig)

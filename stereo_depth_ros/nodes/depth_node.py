@@ -41,7 +41,7 @@ class DepthNode(StereoNode):
         self.add_input("disparity", self._receive)
 
     def _receive(self, message: Any) -> None:
-        self._calibration.with_rig(lambda rig: self._publish(message, rig))
+        self._calibration.with_rig(lambda rig: self._publish(message, rig), message)
 
     def _publish(self, message: Any, rig: StereoRig) -> None:
         topic = self.resolve_topic_name("disparity")

@@ -47,7 +47,7 @@ class FeatureNode(StereoNode):
         self.add_input("right/image_rect", self._pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
-        self._calibration.with_rig(lambda rig: self._publish(left, right, rig))
+        self._calibration.with_rig(lambda rig: self._publish(left, right, rig), left, right)
 
     def _publish(self, left: Any, right: Any, rig: StereoRig) -> None:
         config = self.parameters.get(MatchingConfig)

@@ -56,7 +56,7 @@ class PointCloudNode(StereoNode):
             self._on_pair(disparity, None)
 
     def _on_pair(self, disparity: Any, image: Any) -> None:
-        self._calibration.with_rig(lambda rig: self._publish(disparity, image, rig))
+        self._calibration.with_rig(lambda rig: self._publish(disparity, image, rig), disparity)
 
     def _publish(self, disparity: Any, image: Any, rig: StereoRig) -> None:
         layout, topic = CloudLayout.of(self._config), self.resolve_topic_name("disparity")

@@ -55,13 +55,13 @@ class RectifyNode(StereoNode):
             if has_16_bit(message):
                 add(message)
             else:
-                self._calibration.with_rig(lambda rig: self._rectify_side(side, message, rig))
+                self._calibration.with_rig(lambda rig: self._rectify_side(side, message, rig), message)
 
         self.add_input(f"{side}/image_raw", receive)
         return self.add_output(f"{side}/image_rect"), self.add_output(f"{side}/image_rect_color")
 
     def _on_pair(self, left: Any, right: Any) -> None:
-        self._calibration.with_rig(lambda rig: self._rectify_pair(left, right, rig))
+        self._calibration.with_rig(lambda rig: self._rectify_pair(left, right, rig), left, right)
 
     def _rectify_pair(self, left: Any, right: Any, rig: StereoRig) -> None:
         pair = self._pairs.decode(left, right, rig)

@@ -59,7 +59,9 @@ class StereoDepthNode(StereoNode):
         self.add_input("right/image_raw", self._pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
-        self._calibration.with_rig(lambda rig: self.add_frame(_Frame(left, right, rig, self._pipeline_of(rig))))
+        self._calibration.with_rig(
+            lambda rig: self.add_frame(_Frame(left, right, rig, self._pipeline_of(rig))), left, right
+        )
 
     def _prepare(self, frame: _Frame) -> tuple[StereoPipeline, PreparedPair]:
         pair = self._pairs.decode(frame.left, frame.right, frame.rig)

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which camera infos apply to a pair: those of its stamps, also while the calibration changes."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+__all__ = ["CalibrationHistory"]
+
+T = TypeVar("T")
+_MOST_CHANGES = 100  # of one camera; a lens that zooms changes with every image
+_SETTLE_NS = 10**9
+
+
+class CalibrationHistory(Generic[T]):
+    """The different camera infos of both cameras, by stamp; sides are 0 (left) and 1 (right).
+
+    To an image applies the camera info of its stamp, else the newest one before it, else the last one received. So does
+    the last one where camera infos are not stamped (stamp 0, or always the same), from its arrival on. Not thread-safe.
+    """
+
+    def __init__(self) -> None:
+        self._sides: tuple[_Side[T], _Side[T]] = (_Side(), _Side())
+
+    def add(self, side: int, stamp_ns: int, contents: Hashable, info: T) -> bool:
+        """Add a camera info, in the order of arrival.
+
+        Args:
+            side: of the camera.
+            stamp_ns: of its header.
+            contents: all of it but the stamp.
+            info: what :meth:`at` returns.
+
+        Returns:
+            Whether its contents are not those that applied to its stamp so far.
+        """
+        return self._sides[side].add(stamp_ns, contents, info)
+
+    def last_ns(self, side: int) -> int | None:
+        """Stamp of the camera info received last; None before the first one."""
+        return self._sides[side].last_ns
+
+    @property
+    def is_known(self) -> bool:
+        """Whether both cameras have one."""
+        return all(side.last_ns is not None for side in self._sides)
+
+    def at(self, stamps_ns: tuple[int, int]) -> tuple[T, T]:
+        """The camera infos of a pair by the stamps of its images, once both are known."""
+        left, right = (side.at(stamp_ns).info for side, stamp_ns in zip(self._sides, stamps_ns, strict=True))
+        return left, right
+
+    def lacks(self, stamps_ns: tuple[int, int]) -> bool:
+        """Whether a camera info of these stamps may still come."""
+        pairs = zip(self._sides, stamps_ns, strict=True)
+        return any(side.last_ns is None or side.last_ns < stamp_ns for side, stamp_ns in pairs)
+
+    def is_changing(self, stamps_ns: tuple[int, int]) -> bool:
+        """Whether a calibration has changed less than a second before these stamps, or after them."""
+        return any(side.changed_since(min(stamps_ns) - _SETTLE_NS) for side in self._sides)
+
+
+@dataclass(frozen=True)
+class _Change(Generic[T]):
+    stamp_ns: int
+    contents: Hashable
+    info: T
+
+
+class _Side(Generic[T]):
+    """Camera infos of one camera that differ from the one before."""
+
+    def __init__(self) -> None:
+        self._changes: deque[_Change[T]] = deque(maxlen=_MOST_CHANGES)
+        self.last_ns: int | None = None
+
+    def add(self, stamp_ns: int, contents: Hashable, info: T) -> bool:
+        self.last_ns = stamp_ns
+        if self._changes and self.at(stamp_ns).contents == contents:
+            return False
+        while self._changes and self._changes[-1].stamp_ns >= stamp_ns:
+            self._changes.pop()  # of another clock, or without a stamp of its own
+        self._changes.append(_Change(stamp_ns, contents, info))
+        return True
+
+    def at(self, stamp_ns: int) -> _Change[T]:
+        return next((change for change in reversed(self._changes) if change.stamp_ns <= stamp_ns), self._changes[-1])
+
+    def changed_since(self, stamp_ns: int) -> bool:
+        return len(self._changes) > 1 and self._changes[-1].stamp_ns > stamp_ns
