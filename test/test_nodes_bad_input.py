@@ -319,6 +319,11 @@ class StageCase:
     parameters: dict[str, Any] = field(default_factory=dict)
 
 
+def smaller_disparity(messages: Messages) -> None:
+    image = messages["disparity"].image
+    image.width, image.height, image.step, image.data = 100, 60, 400, bytes(24000)
+
+
 def wrong_color_size(messages: Messages) -> None:
     smaller("left/image_rect_color")(messages)
 
@@ -375,6 +380,26 @@ STAGE_CASES = (
         wrong_color_size,
         r"left image of \(60, 100\), the disparities have \(120, 200\) \(rows, columns\): pass the left image",
         CLOUD_INPUTS,
+    ),
+    StageCase(
+        PointCloudNode,
+        ("points2", PointCloud2),
+        wrong_color_size,
+        r"/left/image_rect_color: left image of \(60, 100\)",
+        CLOUD_INPUTS,
+    ),
+    *(
+        StageCase(
+            node_type,
+            output,
+            smaller_disparity,
+            "/disparity: the disparities are 100x60, the camera infos are for 200x120: subscribe to the camera infos",
+            topics,
+        )
+        for node_type, output, topics in (
+            (DepthNode, ("depth/image_rect", Image), ("disparity",)),
+            (PointCloudNode, ("points2", PointCloud2), CLOUD_INPUTS),
+        )
     ),
 )
 

@@ -171,6 +171,15 @@ def test_full_queue_drops_the_oldest() -> None:
     assert run(pairing, [("R", 9)]) == [(9, 9)]
 
 
+def test_one_side_may_keep_more_than_the_other() -> None:
+    pairing: StereoPairing[int] = StereoPairing(PairingConfig(queue_size=3))
+    pairing.right_queue_size = 8
+    run(pairing, [("R", stamp) for stamp in range(10)])
+    assert (pairing.pending_right, pairing.counts.dropped_right) == (8, 2)
+    run(pairing, [("L", stamp) for stamp in range(20, 30)])
+    assert (pairing.pending_left, pairing.pending_right) == (3, 0)
+
+
 def test_full_queue_releases_the_pair_that_awaits_a_closer_item() -> None:
     pairing: StereoPairing[int] = StereoPairing(within(1.0, queue_size=2))
     assert run(pairing, [("L", 0), ("R", 10), ("R", 20)]) == []

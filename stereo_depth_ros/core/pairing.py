@@ -60,11 +60,15 @@ class StereoPairing(Generic[T]):
 
     Args:
         limits: queue size and tolerance.
+
+    Attributes:
+        right_queue_size: unpaired right items kept; it may be changed at any time, for items that arrive long before
+            their partners.
     """
 
     def __init__(self, limits: PairingLimits) -> None:
         self._tolerance_ns = limits.tolerance_ns
-        self._queue_size = limits.queue_size
+        self._queue_size = self.right_queue_size = limits.queue_size
         self._left: _Side[T] = _Side()
         self._right: _Side[T] = _Side()
         self._paired = 0
@@ -72,11 +76,11 @@ class StereoPairing(Generic[T]):
 
     def add_left(self, stamp_ns: int, item: T) -> list[tuple[T, T]]:
         """Add a left item; returns the (left, right) pairs that are now complete, in order."""
-        return self._add(self._left, stamp_ns, item)
+        return self._add(self._left, stamp_ns, item, self._queue_size)
 
     def add_right(self, stamp_ns: int, item: T) -> list[tuple[T, T]]:
         """Add a right item; returns the (left, right) pairs that are now complete, in order."""
-        return self._add(self._right, stamp_ns, item)
+        return self._add(self._right, stamp_ns, item, self.right_queue_size)
 
     def flush(self) -> list[tuple[T, T]]:
         """The pairs that awaited a closer item, at the end of the streams; unpaired items are dropped."""
@@ -100,15 +104,15 @@ class StereoPairing(Generic[T]):
         """Number of queued right items."""
         return len(self._right.queue)
 
-    def _add(self, side: _Side[T], stamp_ns: int, item: T) -> list[tuple[T, T]]:
+    def _add(self, side: _Side[T], stamp_ns: int, item: T, queue_size: int) -> list[tuple[T, T]]:
         if side.is_clock_set_back(stamp_ns, self._queue_size):
             self._backwards += 1
             self._clear()
         side.insert(stamp_ns, item)
         pairs = self._release()
-        if len(side.queue) > self._queue_size:
+        if len(side.queue) > queue_size:
             pairs += self._release(final=True)
-        while len(side.queue) > self._queue_size:
+        while len(side.queue) > queue_size:
             side.drop_oldest()
         return pairs
 

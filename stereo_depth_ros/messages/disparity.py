@@ -153,8 +153,18 @@ def published_triangulation(msg: Any, rig: StereoRig, topic: str = "disparity") 
     """Triangulation of published disparities: that of the rig without the offset, which is already subtracted.
 
     Raises:
-        MessageError: f or T of the message are not those of the camera infos.
+        MessageError: size, f or T of the message are not those of the camera infos.
     """
+    remedy = "subscribe to the camera infos of these disparities"
+    size, expected = (msg.image.width, msg.image.height), (rig.width, rig.height)
+    if size != expected:
+        raise MessageError(
+            f"the disparities are {size[0]}x{size[1]}, the camera infos are for {expected[0]}x{expected[1]}",
+            subject=topic,
+            value=size,
+            limit=expected,
+            remedy=remedy,
+        )
     if abs(msg.f - rig.f_px) > 1e-3 * rig.f_px or abs(msg.t - rig.baseline_m) > 1e-3 * rig.baseline_m:
         raise MessageError(
             f"f = {msg.f:g} px, T = {msg.t:g} m, the camera infos have {rig.f_px:g} px, {rig.baseline_m:g} m "
@@ -162,7 +172,7 @@ def published_triangulation(msg: Any, rig: StereoRig, topic: str = "disparity") 
             subject=topic,
             value=(msg.f, msg.t),
             limit=(rig.f_px, rig.baseline_m),
-            remedy="subscribe to the camera infos of these disparities",
+            remedy=remedy,
         )
     return dataclasses.replace(Triangulation.from_rig(rig), doffs_px=0.0)
 

@@ -107,10 +107,17 @@ class StereoNode(Node):  # type: ignore[misc]
         self._outputs.append(Output(publisher))
         return self._outputs[-1]
 
-    def add_input(self, topic: str, callback: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True) -> None:
+    def add_input(
+        self,
+        topic: str,
+        callback: Callable[[Any], None],
+        wanted: Callable[[], bool] = lambda: True,
+        depth: int = 0,
+    ) -> Input:
         """A subscription of a topic of the interface while an output and this input are needed, see :class:`Input`.
 
-        Images are raw or compressed, by image_transport. Errors of the callback are reported.
+        Images are raw or compressed, by image_transport. Errors of the callback are reported. It keeps ``depth``
+        messages until the callback takes them, ``queue_size`` at least.
         """
         compressed = self.parameters.get(PairingConfig).image_transport == "compressed"
         topic, msgtype = transported(topic, self.interface.inputs[topic], compressed)
@@ -122,12 +129,13 @@ class StereoNode(Node):  # type: ignore[misc]
                 topic,
                 callback,
                 wanted,
-                depth=self.parameters.get(PairingConfig).queue_size,
+                depth=max(depth, self.parameters.get(PairingConfig).queue_size),
                 repeated=msgtype == _INFO,
                 on_change=self._start_following,
             )
         )
         self._follow_demand()
+        return self._inputs[-1]
 
     def overlap_frames(
         self,

@@ -113,6 +113,16 @@ class Input:
         self._offer = self._publishers_offer()
         self._subscription = self._create(self._offer)
 
+    def take_waiting(self) -> None:
+        """Call the callback with the messages that wait in the subscription, before the executor does."""
+        for subscription in (self._former, self._subscription):
+            while subscription is not None:
+                with subscription.handle:
+                    taken = subscription.handle.take_message(self._message_type, False)
+                if taken is None:
+                    break
+                self._receive(*taken)
+
     def is_silent(self) -> bool:
         """Whether it is subscribed and has received nothing since the last call; the first call begins the interval."""
         before, self._received_before = self._received_before, self._received

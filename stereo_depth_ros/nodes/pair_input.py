@@ -54,6 +54,16 @@ class PairInput:
         stamp = self._note(message, self._topics[0])
         self._deliver(self._pairing.add_left(stamp, message))
 
+    @property
+    def waiting_right(self) -> int:
+        """Number of right messages that wait for their partners."""
+        return self._pairing.pending_right
+
+    def keep_right(self, count: int) -> int:
+        """Keep that many right messages until their partners arrive, and ``queue_size`` at least; the number."""
+        self._pairing.right_queue_size = max(count, self._node.parameters.get(PairingConfig).queue_size)
+        return self._pairing.right_queue_size
+
     def add_right(self, message: Any) -> None:
         """A message of the right topic."""
         stamp = self._note(message, self._topics[1])

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 from stereo_depth_ros.config import CloudConfig, PairingConfig
+from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.disparity import published_disparity, published_triangulation
@@ -23,10 +24,16 @@ from stereo_depth_ros.stages.point_cloud import CloudLayout
 __all__ = ["PointCloudNode", "main"]
 
 _COLOR = "left/image_rect_color"
+_COLOR_BYTES = 256 << 20  # of the images that wait for their disparities
+_COLOR_DEPTH = 30  # images that arrive while one cloud is built
 
 
 class PointCloudNode(StereoNode):
-    """While use_color is false it does not wait for an image."""
+    """While use_color is false it does not wait for an image.
+
+    A color image is kept until its disparity arrives, however long the matcher takes: 256 MiB of them, and queue_size
+    images at least.
+    """
 
     interface = NodeInterface(
         "point_cloud_node",
@@ -43,7 +50,7 @@ class PointCloudNode(StereoNode):
         self._depth = BitDepth()
         self._pairs = PairInput(self, "disparity", _COLOR, self._on_pair)
         self.add_input("disparity", self._receive)
-        self.add_input(_COLOR, self._pairs.add_right, wanted=lambda: self._config.use_color)
+        self._images = self.add_input(_COLOR, self._receive_image, lambda: self._config.use_color, _COLOR_DEPTH)
 
     @property
     def _config(self) -> CloudConfig:
@@ -51,21 +58,36 @@ class PointCloudNode(StereoNode):
 
     def _receive(self, disparity: Any) -> None:
         if self._config.use_color:
+            self._images.take_waiting()  # its own is among them; the executor takes one for each disparity
             self._pairs.add_left(disparity)
         else:
             self._on_pair(disparity, None)
+
+    def _receive_image(self, image: Any) -> None:
+        limit = self._pairs.keep_right(_COLOR_BYTES // max(1, len(image.data)))
+        self._pairs.add_right(image)
+        kept = f"{self._pairs.waiting_right}, limit {limit} ({_COLOR_BYTES >> 20} MiB)"
+        self.diagnostics.facts["color images kept"] = kept
 
     def _on_pair(self, disparity: Any, image: Any) -> None:
         self._calibration.with_rig(lambda rig: self._publish(disparity, image, rig), disparity)
 
     def _publish(self, disparity: Any, image: Any, rig: StereoRig) -> None:
-        layout, topic = CloudLayout.of(self._config), self.resolve_topic_name("disparity")
+        layout = CloudLayout.of(self._config)
         if image is None and layout.rgb_offset is not None:
             return  # use_color was switched on meanwhile
+        try:
+            message = self._cloud(disparity, image, rig, layout)
+        except ImageError as error:
+            raise error.about(self.resolve_topic_name(_COLOR)) from error
+        self._output.publish(message)
+
+    def _cloud(self, disparity: Any, image: Any, rig: StereoRig, layout: CloudLayout) -> Any:
+        topic = self.resolve_topic_name("disparity")
         color = None if image is None else decode_from(self, _COLOR, image, self._depth)
         with self.diagnostics.timed("cloud"):
             disparity_px = published_disparity(disparity, topic)
-            message = cloud_message(
+            return cloud_message(
                 self.types,
                 disparity_px,
                 published_triangulation(disparity, rig, topic),
@@ -76,7 +98,6 @@ class PointCloudNode(StereoNode):
                 color_encoding="mono8" if color is None else color.encoding,
                 payload=self._pool.get(f"cloud {layout}", disparity_px.size * layout.point_step),
             )
-        self._output.publish(message)
 
 
 def main() -> int:
