@@ -8,6 +8,7 @@ import re
 from types import SimpleNamespace
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from graph_harness import NS_PER_S, Graph, StereoCamera
 from rcl_interfaces.msg import Log
@@ -15,6 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 from stereo_msgs.msg import DisparityImage
 
+from stereo_depth_ros.nodes.rectify_node import RectifyNode
 from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
 
 pytestmark = pytest.mark.graph
@@ -96,6 +98,94 @@ def test_latched_camera_infos_of_before_arrive(camera: StereoCamera) -> None:
         graph.send(camera.images(FIRST_NS))
         graph.wait(lambda: received, "disparity with camera infos published before the node subscribed")
         assert input_qos(graph, LEFT_INFO) == [("RELIABLE", "TRANSIENT_LOCAL")]
+
+
+def test_messages_replaced_in_the_queue_of_a_busy_node_are_counted(camera: StereoCamera) -> None:
+    with Graph(RectifyNode) as graph:
+        received = graph.listen("left/image_rect", Image, depth=100)
+        graph.send({**camera.infos(FIRST_NS), LEFT: camera.images(FIRST_NS)[LEFT]})
+        graph.wait(lambda: received, "first image")
+        for number in range(1, 13):  # while the node does something else; its queue holds 5
+            graph.advertise(LEFT, Image).publish(camera.images(FIRST_NS + number * 10**8)[LEFT])
+        graph.wait(lambda: len(received) == 6, "the images that are left")
+        assert graph.counter("replaced left/image_raw") == 7
+        assert graph.counter("replaced right/image_raw") == 0
+        status = graph.status()
+        assert status.level == DiagnosticStatus.WARN
+        assert status.message == (
+            "7 replaced left/image_raw (7 in all): /left/image_raw arrives faster than this node takes it, and newer "
+            "messages replaced older ones: lower its rate, choose a faster matcher, or raise queue_size (5)"
+        )
+
+
+def test_publishers_of_one_image_topic_are_named_while_there_are_two(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        graph.listen("disparity", DisparityImage)
+        others = [rclpy.create_node(name, namespace="/cam", use_global_arguments=False) for name in ("a", "b")]
+        publishers = [node.create_publisher(Image, f"/{LEFT}", 10) for node in others]
+        graph.wait(lambda: len(graph.publishers(f"/{LEFT}")) == 2, "2 publishers")
+        graph.wait(lambda: graph.status().level == DiagnosticStatus.WARN, "level WARN")
+        said = "/left/image_raw has 2 publishers, /cam/a and /cam/b, and their images are mixed: stop or remap one"
+        assert graph.status().message == said
+        graph.nodes[0].diagnostics.publish()
+        graph.wait(lambda: any(log.msg == said for log in graph.logs), "warning in the log")
+        assert len([log for log in graph.logs if log.msg == said]) == 1
+        others[1].destroy_publisher(publishers[1])
+        graph.wait(lambda: graph.status().level == DiagnosticStatus.OK, "level OK with one publisher")
+        for node in others:
+            node.destroy_node()
+
+
+def test_stamps_that_are_not_set_are_said_once_with_the_remedy(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        graph.listen("disparity", DisparityImage)
+        graph.send(camera.infos(0))
+        for _ in range(5):
+            graph.send(camera.images(0))
+            graph.spin(0.02)
+        error = graph.wait_error("which means not set")
+        assert error == (
+            "the stamps of /left/image_raw and /right/image_raw are 0, which means not set, and images cannot be "
+            "paired: let the driver stamp its images with the time of exposure"
+        )
+        status = graph.status()
+        assert (status.level, status.message) == (DiagnosticStatus.ERROR, error)
+        assert graph.counter("duplicate stamps") == 8
+        assert len([log for log in graph.logs if log.level >= Log.WARN]) == 1
+
+
+def test_stamps_that_come_twice_are_a_loss(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        received = graph.listen("disparity", DisparityImage)
+        graph.send(camera.pair(FIRST_NS))
+        graph.wait(lambda: received, "disparity")
+        graph.send({LEFT: camera.images(FIRST_NS)[LEFT]})
+        graph.wait(lambda: graph.counter("duplicate stamps") == 1, "duplicate")
+        status = graph.status()
+        assert status.level == DiagnosticStatus.WARN
+        assert status.message == (
+            "1 duplicate stamps (1 in all): messages of /left/image_raw or /right/image_raw have the stamp of one "
+            "before, and only the first is used: look for a second publisher, or a clock that stands still"
+        )
+
+
+def test_a_side_later_than_the_queue_is_measured(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        graph.listen("disparity", DisparityImage)
+        graph.send(camera.infos(FIRST_NS))
+        for number in range(20):
+            stamp, late = FIRST_NS + number * 10**8, FIRST_NS + (number - 8) * 10**8
+            arrivals = graph.nodes[0]._pairs._arrivals
+            graph.send({LEFT: camera.images(stamp)[LEFT]})
+            graph.wait(lambda s=stamp: (0, s) in arrivals, f"left image {number}")
+            if number >= 8:
+                graph.send({RIGHT: camera.images(late)[RIGHT]})
+                graph.wait(lambda s=late: (1, s) in arrivals, f"right image {number}")
+        graph.wait(lambda: "queue_size" in graph.status().message, "lag")
+        assert graph.status().message.endswith(
+            "/right/image_raw arrives 8 messages (800 ms) after those of /left/image_raw with its stamps, and "
+            "queue_size keeps 5: set queue_size to 9 or more, or find what delays it"
+        )
 
 
 def test_stamps_that_never_match_are_measured(camera: StereoCamera) -> None:

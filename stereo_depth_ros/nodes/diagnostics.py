@@ -50,6 +50,8 @@ class NodeDiagnostics:
         self._losses_said: Counter[str] = Counter()  # as logged last
         self._loss_at = self._loss_said_at = -QUIET_S
         self._last_loss = ""
+        self._states: list[Callable[[], str]] = []
+        self._states_said: set[str] = set()
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # A steady clock: diagnostics continue while simulated time stands still.
         node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -71,6 +73,10 @@ class NodeDiagnostics:
     def watch_loss(self, name: str, count: Callable[[], int], cause: Callable[[], str]) -> None:
         """While ``count`` grows the level is WARN, and its growth is logged with the likely cause and the remedy."""
         self._losses[name] = count, cause
+
+    def watch_state(self, text: Callable[[], str]) -> None:
+        """While ``text`` is not empty the level is WARN; it is logged when it appears."""
+        self._states.append(text)
 
     @contextmanager
     def catch(self) -> Iterator[None]:
@@ -114,7 +120,8 @@ class NodeDiagnostics:
             values |= {f"{stage} p50 ms": f"{p50:.3f}", f"{stage} p95 ms": f"{p95:.3f}"}
         now = time.monotonic()
         faults = self._faults.present()
-        warning = self._last_loss if now - self._loss_at < QUIET_S else self.warning
+        lasting = self._last_loss if now - self._loss_at < QUIET_S else self.warning
+        warning = "; ".join(filter(None, (*self._current_states(), lasting)))
         healthy = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if faults else healthy,
@@ -125,6 +132,15 @@ class NodeDiagnostics:
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
         return message
+
+    def _current_states(self) -> list[str]:
+        """What the states say now; logged where it is new."""
+        states = [said for state in self._states if (said := state())]
+        for said in states:
+            if said not in self._states_said:
+                self._node.get_logger().warning(said)
+        self._states_said = set(states)
+        return states
 
     def _check_losses(self) -> None:
         """Note what was lost since the last time; log it at most once in five seconds."""

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -77,9 +78,15 @@ class Input:
         self._former: Subscription | None = None  # until the one that replaces it is connected
         self._sent_at: deque[int] = deque(maxlen=2 * depth)  # of the last messages, by the clock of their publisher
         self._may_repeat = 0  # messages that both subscriptions may have received, at most
-        lost = f"lost {topic}"
+        self._number: int | None = None  # that DDS has given to the newest message
+        self._missed = 0  # numbers that did not arrive
         if not repeated:
-            diagnostics.watch_loss(lost, lambda: diagnostics.counters[lost], self._cause_of_loss)
+            for name, cause in (
+                (f"lost {topic}", self._cause_of_loss),
+                (f"replaced {topic}", self._cause_of_replacement),
+            ):
+                diagnostics.watch_loss(name, functools.partial(diagnostics.counters.__getitem__, name), cause)
+            diagnostics.watch_state(self._mixture)
 
     @property
     def resolved_topic(self) -> str:
@@ -135,6 +142,7 @@ class Input:
                 self._node.destroy_subscription(subscription)
         self._former = self._subscription = None
         self._may_repeat = 0
+        self._number = None
         self._sent_at.clear()
 
     def follow_publishers(self) -> None:
@@ -184,7 +192,7 @@ class Input:
             self._profile(offer),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=self._on_incompatible,
-                matched=lambda _: self._on_change(),
+                matched=self._on_matched,
                 message_lost=self._on_lost,
             ),
             qos_overriding_options=QoSOverridingOptions(overridden),
@@ -198,7 +206,40 @@ class Input:
             self._sent_at.append(sent_at)
             if not is_repeated:
                 self._received += 1
+                self._note_number(info["publication_sequence_number"])
                 self._callback(message)
+
+    def _note_number(self, number: int | None) -> None:
+        """Count what did not arrive and was not lost on the way: newer messages replaced it in the queue.
+
+        DDS numbers the messages of a publisher without gaps; not every middleware tells the number.
+        """
+        publishers = 0 if self._subscription is None else self._subscription.get_publisher_count()
+        if self._repeated or number is None or publishers != 1:
+            self._number = None
+            return
+        if self._number is not None:
+            self._missed = max(0, self._missed + (number - self._number - 1 if number > self._number else -1))
+        self._number = number if self._number is None else max(number, self._number)
+        counters = self._diagnostics.counters
+        counters[f"replaced {self.topic}"] = max(0, self._missed - counters[f"lost {self.topic}"])
+
+    def _mixture(self) -> str:
+        """What is wrong where several nodes publish the topic; empty where one does."""
+        if not self.subscribed:
+            return ""
+        publishers = self._node.get_publishers_info_by_topic(self.resolved_topic)
+        if len(publishers) < 2:
+            return ""
+        names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers)
+        return (
+            f"{self.resolved_topic} has {len(names)} publishers, {', '.join(names[:-1])} and {names[-1]}, and their "
+            "images are mixed: stop or remap one"
+        )
+
+    def _on_matched(self, event: Any) -> None:
+        self._number = None  # another publisher counts anew
+        self._on_change()
 
     def _on_lost(self, event: Any) -> None:
         self._diagnostics.counters[f"lost {self.topic}"] += event.total_count_change
@@ -214,6 +255,12 @@ class Input:
         return (
             f"{topic} is best effort, and what finds no room in transit is gone: publish it reliably, or give its "
             "publisher more shared memory, as config/fastdds.xml does"
+        )
+
+    def _cause_of_replacement(self) -> str:
+        return (
+            f"{self.resolved_topic} arrives faster than this node takes it, and newer messages replaced older ones: "
+            f"lower its rate, choose a faster matcher, or raise queue_size ({self._depth})"
         )
 
     def _on_incompatible(self, event: Any) -> None:

@@ -9,12 +9,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import Frame, StereoPair
+from stereo_depth_ros.core.unpaired import Arrival, cause_of_loss, unset_stamps
 from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.image import decode, decode_pair, image_size
 from stereo_depth_ros.messages.types import stamp_ns
@@ -22,7 +21,7 @@ from stereo_depth_ros.nodes.base import StereoNode
 
 __all__ = ["PairInput", "decode_from", "decode_side"]
 
-_RECENT = 8  # stamps of each side from which their offset is measured
+_DUPLICATES = "duplicate stamps"
 
 
 class PairInput:
@@ -40,18 +39,21 @@ class PairInput:
         self._topics = (left, right)
         self._on_pair = on_pair
         self._backwards = 0
-        self._stamps: dict[str, deque[int]] = {topic: deque(maxlen=_RECENT) for topic in self._topics}
+        # Enough of them to see a side that is later than the queue by much
+        self._arrivals: deque[Arrival] = deque(maxlen=4 * node.parameters.get(PairingConfig).queue_size + 100)
+        self._unset = 0  # stamps
         self._is_starting = True
         # Of each side; at a start one is connected before the other, and its first messages have no partner.
         self._unpaired_at_start, self._excused = [0, 0], [0, 0]
         for side, topic in enumerate(self._topics):
             node.diagnostics.watch_loss(f"unpaired {topic}", functools.partial(self._lost, side), self._cause_of_loss)
+        node.diagnostics.watch_loss(_DUPLICATES, self._duplicates, self._cause_of_duplicates)
         self._depth = BitDepth()
         node.on_idle.append(self._restart)
 
     def add_left(self, message: Any) -> None:
         """A message of the left topic."""
-        stamp = self._note(message, self._topics[0])
+        stamp = self._note(message, 0)
         self._deliver(self._pairing.add_left(stamp, message))
 
     @property
@@ -66,30 +68,34 @@ class PairInput:
 
     def add_right(self, message: Any) -> None:
         """A message of the right topic."""
-        stamp = self._note(message, self._topics[1])
+        stamp = self._note(message, 1)
         self._deliver(self._pairing.add_right(stamp, message))
 
-    def _note(self, message: Any, topic: str) -> int:
+    def _note(self, message: Any, side: int) -> int:
         stamp = stamp_ns(message.header)
-        self._stamps[topic].append(stamp)
+        self._arrivals.append((side, stamp))
+        if stamp == 0:
+            self._unset += 1
+            if text := unset_stamps(self._arrivals, self._names()):
+                self._node.diagnostics.report_error("stamps not set", text)
         return stamp
 
     def _cause_of_loss(self) -> str:
-        """Why messages have no partner, by the last stamps of both sides."""
-        sides = [np.array(stamps, np.int64) for stamps in self._stamps.values()]
-        names = " and ".join(self._node.resolve_topic_name(topic) for topic in self._topics)
-        if not all(side.size for side in sides):
-            return f"only one of {names} arrives: start the other camera, or remap"
-        offset_ns = int(np.median([np.abs(sides[1] - stamp).min() for stamp in sides[0]]))
-        limit_ns = self._node.parameters.get(PairingConfig).tolerance_ns
-        if limit_ns is None or offset_ns <= limit_ns:
-            return f"of {names}, messages of one have no partner: publish both at one rate, and see what was lost"
-        remedy = f"set approximate_sync and an approximate_sync_tolerance_seconds above {offset_ns / 1e9:.6f}"
-        return f"stamps of {names} are {offset_ns / 1e6:.3f} ms apart, the tolerance is {limit_ns / 1e6:g} ms: {remedy}"
+        return cause_of_loss(self._arrivals, self._names(), self._node.parameters.get(PairingConfig))
+
+    def _names(self) -> tuple[str, str]:
+        return self._node.resolve_topic_name(self._topics[0]), self._node.resolve_topic_name(self._topics[1])
+
+    def _cause_of_duplicates(self) -> str:
+        return (
+            f"messages of {' or '.join(self._names())} have the stamp of one before, and only the first is used: "
+            "look for a second publisher, or a clock that stands still"
+        )
 
     def _restart(self) -> None:
         """While the node was idle its stream may have started again, with earlier stamps, and the cameras changed."""
         self._pairing.flush()
+        self._arrivals.clear()
         self._depth = BitDepth()
         self._excused = [before + self._few(side) for side, before in enumerate(self._excused)]
         self._unpaired_at_start = [0, 0]
@@ -102,6 +108,10 @@ class PairInput:
         """Unpaired messages of a side, but for the first few of every start."""
         return self._node.diagnostics.counters[f"unpaired {self._topics[side]}"] - self._excused[side] - self._few(side)
 
+    def _duplicates(self) -> int:
+        """Duplicate stamps, but for those that are not set, which are an error of their own."""
+        return max(0, self._node.diagnostics.counters[_DUPLICATES] - self._unset)
+
     def decode(self, left: Any, right: Any, rig: StereoRig | None = None) -> StereoPair:
         """The frames of a pair, which come in the order of the pairs; all 16-bit images have one bit depth.
 
@@ -113,7 +123,7 @@ class PairInput:
             MessageError: an image that cannot be decoded, with its topic.
             CalibrationError: the camera infos are those of the other camera, or of another size; nothing is decoded.
         """
-        resolved = self._node.resolve_topic_name(self._topics[0]), self._node.resolve_topic_name(self._topics[1])
+        resolved = self._names()
         if rig is not None:
             for side, message, topic in zip(("left", "right"), (left, right), resolved, strict=True):
                 _check(rig, side, message, topic)
@@ -133,10 +143,10 @@ class PairInput:
             grown, counters[unpaired] = dropped - counters[unpaired], dropped
             self._unpaired_at_start[side] += grown if self._is_starting else 0
         self._is_starting = self._is_starting and counts.paired == paired_before
-        counters["duplicate stamps"] = counts.duplicates
+        counters[_DUPLICATES] = counts.duplicates
         if counts.backwards > self._backwards:
             self._backwards = counts.backwards
-            topics = ", ".join(self._node.resolve_topic_name(topic) for topic in self._topics)
+            topics = ", ".join(self._names())
             self._node.diagnostics.report_error(
                 "stamps went backwards",
                 f"{topics}: stamps went backwards, waiting messages were dropped: expected when a bag starts again, "

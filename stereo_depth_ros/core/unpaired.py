@@ -1,0 +1,110 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Why messages of two sides have no partner, by their stamps in the order of arrival, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from stereo_depth_ros.core.pairing import PairingLimits
+
+__all__ = ["STAMP_REMEDY", "Arrival", "cause_of_loss", "stamp_offset_ns", "unset_stamps"]
+
+Arrival: TypeAlias = tuple[int, int]  # side, 0 is left and 1 right, and stamp in ns
+STAMP_REMEDY = "let the driver stamp its images with the time of exposure"
+
+
+def cause_of_loss(arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits) -> str:
+    """One sentence with the most likely cause and its remedy.
+
+    Args:
+        arrivals: the last ones of both sides, in order.
+        names: topics of the sides.
+        limits: of the pairing.
+    """
+    left, right = _stamps(arrivals, 0), _stamps(arrivals, 1)
+    both = " and ".join(names)
+    if not (left.size and right.size):
+        return f"only one of {both} arrives: start the other camera, or remap"
+    if text := unset_stamps(arrivals, names) or _lag(arrivals, names, limits):
+        return text
+    offset_ns, limit_ns = stamp_offset_ns(left, right), limits.tolerance_ns
+    if offset_ns is None or limit_ns is None or abs(offset_ns) <= limit_ns:
+        return f"of {both}, messages of one have no partner: publish both at one rate, and see what was lost"
+    remedy = f"set approximate_sync and an approximate_sync_tolerance_seconds above {abs(offset_ns) / 1e9:.6f}"
+    return f"stamps of {both} are {abs(offset_ns) / 1e6:.3f} ms apart, the tolerance is {limit_ns / 1e6:g} ms: {remedy}"
+
+
+def unset_stamps(arrivals: Sequence[Arrival], names: tuple[str, str]) -> str:
+    """A sentence where all stamps of a side are 0, and more than the first one; else empty."""
+    sides = (_stamps(arrivals, 0), _stamps(arrivals, 1))
+    unset = {name: stamps.size for name, stamps in zip(names, sides, strict=True) if stamps.size and not stamps.any()}
+    if max(unset.values(), default=0) < 2:
+        return ""
+    topics = " and ".join(unset)
+    return f"the stamps of {topics} are 0, which means not set, and images cannot be paired: {STAMP_REMEDY}"
+
+
+def stamp_offset_ns(
+    left_ns: Sequence[int] | npt.NDArray[np.int64], right_ns: Sequence[int] | npt.NDArray[np.int64]
+) -> int | None:
+    """How much later the right stamps are, whatever is lost of either side.
+
+    Returns:
+        Median over all stamps that are the nearest of each other, nanoseconds; None where none of them are within half
+        a period, because what is further away is another frame.
+    """
+    left, right = (np.unique(np.asarray(stamps, np.int64)) for stamps in (left_ns, right_ns))
+    if not (left.size and right.size):
+        return None
+    of_left, of_right = _nearest(left, right), _nearest(right, left)
+    mutual = np.flatnonzero(of_right[of_left] == np.arange(left.size))
+    offsets = right[of_left[mutual]] - left[mutual]
+    intervals = [int(np.median(np.diff(stamps))) for stamps in (left, right) if stamps.size > 1]
+    if intervals:
+        offsets = offsets[2 * np.abs(offsets) <= min(intervals)]
+    return int(np.median(offsets)) if offsets.size else None
+
+
+def _stamps(arrivals: Sequence[Arrival], side: int) -> npt.NDArray[np.int64]:
+    return np.array([stamp for arrived, stamp in arrivals if arrived == side], np.int64)
+
+
+def _nearest(stamps: npt.NDArray[np.int64], others: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """For each of the stamps the index of the nearest of the others."""
+    nearest: npt.NDArray[np.int64] = np.abs(stamps[:, None] - others[None, :]).argmin(axis=1)
+    return nearest
+
+
+def _lag(arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits) -> str:
+    """A sentence where a side arrives when the queue has dropped its partners already; else empty."""
+    for late, name in enumerate(names):
+        lags = _lags(arrivals, late, limits.tolerance_ns or 0)
+        if not lags or np.median([messages for messages, _ in lags]) < limits.queue_size:
+            continue
+        messages, most = int(np.median([messages for messages, _ in lags])), max(messages for messages, _ in lags)
+        ms = np.median([time_ns for _, time_ns in lags]) / 1e6
+        return (
+            f"{name} arrives {messages} messages ({ms:.0f} ms) after those of {names[1 - late]} with its stamps, and "
+            f"queue_size keeps {limits.queue_size}: set queue_size to {most + 1} or more, or find what delays it"
+        )
+    return ""
+
+
+def _lags(arrivals: Sequence[Arrival], late: int, tolerance_ns: int) -> list[tuple[int, int]]:
+    """Of each message whose partner came first: messages of the other side after it, and the time they span, ns."""
+    lags: list[tuple[int, int]] = []
+    others = _stamps(arrivals, 1 - late)
+    arrived = 0  # of the others
+    for side, stamp in arrivals:
+        if side != late:
+            arrived += 1
+        elif arrived:
+            at = int(np.abs(others[:arrived] - stamp).argmin())
+            if abs(others[at] - stamp) <= tolerance_ns:
+                lags.append((arrived - 1 - at, int(others[arrived - 1] - others[at])))
+    return lags
