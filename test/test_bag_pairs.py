@@ -5,14 +5,17 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from stereo_bags import cut, later, sequence, write_odd_bag, write_truth_bag
 
+from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import BagError, ConfigError, MessageError, TopicError
@@ -81,6 +84,48 @@ def test_late_right_images_need_approximate_pairing(tmp_path: Path) -> None:
         pairs = list(bag.pairs())
     assert [pair.right_stamp_ns - pair.stamp_ns for pair in pairs] == [3_000_000] * 3
     assert cdr_stamp_ns(pairs[0].right_info) == pairs[0].right_stamp_ns
+
+
+def test_why_most_images_have_no_partner_is_said(tmp_path: Path) -> None:
+    write_odd_bag(tmp_path / "late.mcap", 5, right_late_ns=17_000_000)
+    with BagPairs(BagSelection(tmp_path / "late.mcap"), EXACT) as bag:
+        assert list(bag.pairs()) == []
+        assert bag.losses == (
+            "stamps of /cam0/image and /cam1/image are 17.000 ms apart, the tolerance is 0 ms: set approximate_sync "
+            "and an approximate_sync_tolerance_seconds above 0.017000",
+        )
+
+
+def restamped(odd_bag: Path, path: Path, stamp_ns: Callable[[int], int]) -> Path:
+    """The bag with other stamps of its images."""
+    with BagReader(odd_bag) as reader, BagWriter(path) as bag:
+        for message in reader.messages():
+            stamp = stamp_ns(cdr_stamp_ns(message.data)) if message.topic.endswith("image") else 0
+            bag.write_raw(message.topic, message.msgtype, with_stamp(message.data, stamp), message.log_time_ns)
+    return path
+
+
+def test_stamps_that_are_not_set_are_said(odd_bag: Path, tmp_path: Path) -> None:
+    path = restamped(odd_bag, tmp_path / "zero.mcap", lambda _: 0)
+    said = (
+        "the stamps of /cam0/image and /cam1/image are 0, which means not set, and images cannot be paired: let the "
+        "driver stamp its images with the time of exposure"
+    )
+    with BagPairs(BagSelection(path), EXACT) as bag:
+        assert len(list(bag.pairs())) == 1
+        assert bag.losses == (said,)
+    assert [str(problem) for problem in inspect_bag(path).problems] == [said]
+
+
+def test_stamps_that_come_twice_are_counted(odd_bag: Path, tmp_path: Path) -> None:
+    path = restamped(odd_bag, tmp_path / "twice.mcap", lambda stamp: stamp - stamp % 200_000_000)
+    with BagPairs(BagSelection(path), EXACT) as bag:
+        pairs = len(list(bag.pairs()))
+        assert 0 < pairs < 5
+        assert bag.losses == (
+            "3 images left out, messages of /cam0/image or /cam1/image have the stamp of one before, and only the "
+            "first is used: look for a second publisher, or a clock that stands still",
+        )
 
 
 def test_shifted_pair_differs_in_its_stamps_only(odd_bag: Path) -> None:

@@ -50,6 +50,15 @@ def test_stamps_that_are_too_far_apart() -> None:
     assert found["pairs"].level is Level.ERROR
     assert "synchronize the cameras" in found["pairs"].remedy
     assert "stamp offset" not in found
+    assert (
+        "stamps are 40.000 ms apart: if the images were taken together, set approximate_sync" in found["pairs"].remedy
+    )
+
+
+def test_stamps_that_are_not_set_are_no_matter_of_pairs() -> None:
+    found = streams([0] * 20, [0] * 20)
+    assert [found[f"{side} stamps"].level for side in ("left", "right")] == [Level.ERROR] * 2
+    assert found["pairs"].level is Level.SKIPPED
 
 
 def test_dropped_images() -> None:

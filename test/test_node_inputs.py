@@ -173,9 +173,9 @@ def test_a_side_later_than_the_queue_is_measured(camera: StereoCamera) -> None:
     with Graph(StereoDepthNode, parameters=SMALL) as graph:
         graph.listen("disparity", DisparityImage)
         graph.send(camera.infos(FIRST_NS))
+        arrivals = graph.nodes[0]._pairs._arrivals
         for number in range(20):
             stamp, late = FIRST_NS + number * 10**8, FIRST_NS + (number - 8) * 10**8
-            arrivals = graph.nodes[0]._pairs._arrivals
             graph.send({LEFT: camera.images(stamp)[LEFT]})
             graph.wait(lambda s=stamp: (0, s) in arrivals, f"left image {number}")
             if number >= 8:

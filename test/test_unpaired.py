@@ -30,7 +30,7 @@ def test_offset_is_measured_whatever_else_is_lost(lost: range) -> None:
     right = [1000 + 50 * number + 17 for number in range(20) if number not in lost]
     assert stamp_offset_ns([s * MS for s in left], [s * MS for s in right]) == 17 * MS
     assert stamp_offset_ns([s * MS for s in right], [s * MS for s in left]) == -17 * MS
-    assert cause_of_loss(in_turn(left, right), NAMES, EXACT) == (
+    assert str(cause_of_loss(in_turn(left, right), NAMES, EXACT)) == (
         "stamps of /l and /r are 17.000 ms apart, the tolerance is 0 ms: set approximate_sync and an "
         "approximate_sync_tolerance_seconds above 0.017000"
     )
@@ -40,13 +40,13 @@ def test_a_side_that_has_stopped_has_no_offset() -> None:
     """The last stamps are three periods apart, which is no offset."""
     left, right = [(1000 + 50 * n) * MS for n in range(10, 18)], [(1000 + 50 * n) * MS for n in range(8)]
     assert stamp_offset_ns(left, right) is None
-    assert "apart" not in cause_of_loss([(1, s) for s in right] + [(0, s) for s in left], NAMES, EXACT)
+    assert "apart" not in str(cause_of_loss([(1, s) for s in right] + [(0, s) for s in left], NAMES, EXACT))
 
 
 @pytest.mark.parametrize("late", [5, 8, 30])
 def test_a_side_later_than_the_queue_is_named_with_its_lag(late: int) -> None:
     stamps = [1000 + 50 * number for number in range(60)]
-    assert cause_of_loss(in_turn(stamps, stamps, 50 * late + 1), NAMES, EXACT) == (
+    assert str(cause_of_loss(in_turn(stamps, stamps, 50 * late + 1), NAMES, EXACT)) == (
         f"/r arrives {late} messages ({50 * late} ms) after those of /l with its stamps, and queue_size keeps 5: "
         f"set queue_size to {late + 1} or more, or find what delays it"
     )
@@ -57,14 +57,14 @@ def test_a_side_within_the_queue_is_not_late(late: int) -> None:
     """Frames are lost for another reason."""
     left = [1000 + 50 * number for number in range(60)]
     right = [stamp for number, stamp in enumerate(left) if number % 7]
-    assert cause_of_loss(in_turn(left, right, 50 * late + 1), NAMES, EXACT) == (
+    assert str(cause_of_loss(in_turn(left, right, 50 * late + 1), NAMES, EXACT)) == (
         "of /l and /r, messages of one have no partner: publish both at one rate, and see what was lost"
     )
 
 
 def test_one_side_alone_is_named() -> None:
     text = "only one of /l and /r arrives: start the other camera, or remap"
-    assert cause_of_loss([(0, 5), (0, 6)], NAMES, EXACT) == text
+    assert str(cause_of_loss([(0, 5), (0, 6)], NAMES, EXACT)) == text
 
 
 @pytest.mark.parametrize(
@@ -76,11 +76,11 @@ def test_one_side_alone_is_named() -> None:
     ],
 )
 def test_stamps_that_are_not_set_are_the_cause(arrivals: list[Arrival], topics: str) -> None:
-    text = unset_stamps(arrivals, NAMES)
+    text = str(unset_stamps(arrivals, NAMES))
     assert text.startswith(f"the stamps of {topics} are 0, which means not set")
-    assert cause_of_loss(arrivals, NAMES, EXACT) == text
+    assert str(cause_of_loss(arrivals, NAMES, EXACT)) == text
 
 
 def test_a_single_stamp_0_is_the_beginning_of_simulated_time() -> None:
-    assert unset_stamps([(0, 0), (1, 0), (0, 50), (1, 50)], NAMES) == ""
-    assert unset_stamps([(0, 0), (1, 0)], NAMES) == ""
+    assert unset_stamps([(0, 0), (1, 0), (0, 50), (1, 50)], NAMES) is None
+    assert unset_stamps([(0, 0), (1, 0)], NAMES) is None

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import CalibrationError, MessageError, StereoDepthError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.unpaired import stamp_offset_ns, taken_together, unset_stamps
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.image import decode
 
@@ -177,8 +178,11 @@ class _Inspection:
             return 0, 0
         near = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=tolerance_s)
         exact_pairs, near_pairs = _count_pairs(stamps, PairingConfig()), _count_pairs(stamps, near)
-        if not exact_pairs:
-            self.problems.append(_no_pairs(stereo, near_pairs, tolerance_s))
+        arrivals = [(0 if is_left else 1, stamp_ns) for is_left, stamp_ns in stamps]
+        if unset := unset_stamps(arrivals, (stereo.left_image, stereo.right_image)):
+            self.problems.append(unset)
+        elif not exact_pairs:
+            self.problems.append(_no_pairs(stereo, near_pairs, tolerance_s, stamps))
         return exact_pairs, near_pairs
 
     def _stamps(self, stereo: StereoTopics) -> list[tuple[bool, int]]:
@@ -208,7 +212,9 @@ def _count_pairs(stamps: Iterable[tuple[bool, int]], config: PairingConfig) -> i
     return pairing.counts.paired
 
 
-def _no_pairs(stereo: StereoTopics, near_pairs: int, tolerance_s: float) -> TopicError:
+def _no_pairs(
+    stereo: StereoTopics, near_pairs: int, tolerance_s: float, stamps: Sequence[tuple[bool, int]]
+) -> TopicError:
     sides = f"no image of {stereo.left_image} has the stamp of one of {stereo.right_image}"
     if near_pairs:
         return TopicError(
@@ -218,12 +224,11 @@ def _no_pairs(stereo: StereoTopics, near_pairs: int, tolerance_s: float) -> Topi
             remedy=f"pair stamps that differ by up to {tolerance_s:g} s",
             settings=("approximate_sync", "approximate_sync_tolerance_seconds"),
         )
-    return TopicError(
-        f"{sides}, and none is within {tolerance_s:g} s",
-        value=0,
-        limit=tolerance_s,
-        remedy="synchronize the cameras and record again",
-    )
+    remedy = "synchronize the cameras and record again"
+    left, right = ([stamp for is_left, stamp in stamps if is_left == wanted] for wanted in (True, False))
+    if offset_ns := stamp_offset_ns(left, right):
+        remedy += f"; {taken_together(offset_ns)}"
+    return TopicError(f"{sides}, and none is within {tolerance_s:g} s", value=0, limit=tolerance_s, remedy=remedy)
 
 
 def _summaries(reader: BagReader, duration_s: float) -> dict[str, TopicSummary]:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -18,9 +18,10 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.calibration_history import CalibrationHistory
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
-from stereo_depth_ros.core.pairing import StereoPairing
+from stereo_depth_ros.core.pairing import PairingCounts, StereoPairing
 from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.core.unpaired import Arrival, cause_of_duplicates, cause_of_loss, unset_stamps
 from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
@@ -29,6 +30,7 @@ from stereo_depth_ros.messages.image import decode_pair, image_size
 __all__ = ["BagPairs", "BagSelection", "PerCalibration", "SerializedPair", "read_pairs"]
 
 T = TypeVar("T")
+_ARRIVALS = 1000  # of the last images, by which a loss is explained
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,7 @@ class BagPairs:
         topics: topics that are read.
         count: images of the left camera in the whole bag, an upper bound of the number of pairs.
         unpaired_left, unpaired_right: images without a partner; final when :meth:`pairs` is exhausted.
+        losses: why most images are in no pair, a sentence each; empty where most are; final as those.
         warning: one sentence about a bag that is cut; empty where it is complete.
 
     Raises:
@@ -190,6 +193,7 @@ class BagPairs:
             raise
         self.count = self._reader.topics[self.topics.left_image].count
         self.unpaired_left = self.unpaired_right = 0
+        self.losses: tuple[str, ...] = ()
         self.warning = self._reader.warning
 
     def pairs(self) -> Iterator[SerializedPair]:
@@ -199,6 +203,7 @@ class BagPairs:
             BagError: the bag is damaged where it is read.
         """
         pairing: StereoPairing[bytes] = StereoPairing(self._pairing_config)
+        arrivals: deque[Arrival] = deque(maxlen=_ARRIVALS)
         calibrated = _CalibratedPairs(self._first_infos(), self._info_topics, self._pairing_config.queue_size)
         for message in self._messages():
             if message.topic in self._info_topics:
@@ -206,12 +211,14 @@ class BagPairs:
                 continue
             is_left = message.topic == self.topics.left_image
             add = pairing.add_left if is_left else pairing.add_right
-            for left, right in add(cdr_stamp_ns(message.data), message.data):
+            arrivals.append((0 if is_left else 1, cdr_stamp_ns(message.data)))
+            for left, right in add(arrivals[-1][1], message.data):
                 yield from calibrated.add_pair(left, right)
         for left, right in pairing.flush():
             yield from calibrated.add_pair(left, right)
         yield from calibrated.flush()
         self.unpaired_left, self.unpaired_right = pairing.counts.dropped_left, pairing.counts.dropped_right
+        self.losses = tuple(self._losses(pairing.counts, arrivals))
 
     def close(self) -> None:
         """Close the bag."""
@@ -224,6 +231,16 @@ class BagPairs:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _losses(self, counts: PairingCounts, arrivals: Sequence[Arrival]) -> Iterator[str]:
+        names = (self.topics.left_image, self.topics.right_image)
+        if error := unset_stamps(arrivals, names):
+            yield str(error)
+            return
+        if max(counts.dropped_left, counts.dropped_right) > counts.paired:
+            yield str(cause_of_loss(arrivals, names, self._pairing_config))
+        if counts.duplicates:
+            yield f"{counts.duplicates} images left out, {cause_of_duplicates(names)}"
 
     def _find_topics(self) -> tuple[StereoTopics, tuple[str, str]]:
         topics = self._reader.stereo_topics(self._selection.left, self._selection.right)

@@ -10,16 +10,25 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.core.pairing import PairingLimits
 
-__all__ = ["STAMP_REMEDY", "Arrival", "cause_of_loss", "stamp_offset_ns", "unset_stamps"]
+__all__ = [
+    "STAMP_REMEDY",
+    "Arrival",
+    "cause_of_duplicates",
+    "cause_of_loss",
+    "stamp_offset_ns",
+    "taken_together",
+    "unset_stamps",
+]
 
 Arrival: TypeAlias = tuple[int, int]  # side, 0 is left and 1 right, and stamp in ns
 STAMP_REMEDY = "let the driver stamp its images with the time of exposure"
 
 
-def cause_of_loss(arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits) -> str:
-    """One sentence with the most likely cause and its remedy.
+def cause_of_loss(arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits) -> TopicError:
+    """The most likely cause and its remedy.
 
     Args:
         arrivals: the last ones of both sides, in order.
@@ -29,24 +38,44 @@ def cause_of_loss(arrivals: Sequence[Arrival], names: tuple[str, str], limits: P
     left, right = _stamps(arrivals, 0), _stamps(arrivals, 1)
     both = " and ".join(names)
     if not (left.size and right.size):
-        return f"only one of {both} arrives: start the other camera, or remap"
-    if text := unset_stamps(arrivals, names) or _lag(arrivals, names, limits):
-        return text
+        return TopicError(f"only one of {both} arrives", remedy="start the other camera, or remap")
+    if error := unset_stamps(arrivals, names) or _lag(arrivals, names, limits):
+        return error
     offset_ns, limit_ns = stamp_offset_ns(left, right), limits.tolerance_ns
     if offset_ns is None or limit_ns is None or abs(offset_ns) <= limit_ns:
-        return f"of {both}, messages of one have no partner: publish both at one rate, and see what was lost"
-    remedy = f"set approximate_sync and an approximate_sync_tolerance_seconds above {abs(offset_ns) / 1e9:.6f}"
-    return f"stamps of {both} are {abs(offset_ns) / 1e6:.3f} ms apart, the tolerance is {limit_ns / 1e6:g} ms: {remedy}"
+        problem = f"of {both}, messages of one have no partner"
+        return TopicError(problem, remedy="publish both at one rate, and see what was lost")
+    return TopicError(
+        f"stamps of {both} are {abs(offset_ns) / 1e6:.3f} ms apart, the tolerance is {limit_ns / 1e6:g} ms",
+        value=offset_ns,
+        limit=limit_ns,
+        remedy=_remedy_of_offset(offset_ns),
+        settings=("approximate_sync", "approximate_sync_tolerance_seconds"),
+    )
 
 
-def unset_stamps(arrivals: Sequence[Arrival], names: tuple[str, str]) -> str:
-    """A sentence where all stamps of a side are 0, and more than the first one; else empty."""
+def cause_of_duplicates(names: tuple[str, str]) -> TopicError:
+    """What is wrong where messages have the stamp of another one of their side."""
+    return TopicError(
+        f"messages of {' or '.join(names)} have the stamp of one before, and only the first is used",
+        remedy="look for a second publisher, or a clock that stands still",
+    )
+
+
+def unset_stamps(arrivals: Sequence[Arrival], names: tuple[str, str]) -> TopicError | None:
+    """What is wrong where all stamps of a side are 0, and more than the first one; else None."""
     sides = (_stamps(arrivals, 0), _stamps(arrivals, 1))
     unset = {name: stamps.size for name, stamps in zip(names, sides, strict=True) if stamps.size and not stamps.any()}
     if max(unset.values(), default=0) < 2:
-        return ""
-    topics = " and ".join(unset)
-    return f"the stamps of {topics} are 0, which means not set, and images cannot be paired: {STAMP_REMEDY}"
+        return None
+    problem = f"the stamps of {' and '.join(unset)} are 0, which means not set, and images cannot be paired"
+    return TopicError(problem, value=0, remedy=STAMP_REMEDY)
+
+
+def taken_together(offset_ns: int) -> str:
+    """What to do about stamps so far apart where the cameras are synchronized and only their stamps are not."""
+    text = f"stamps are {abs(offset_ns) / 1e6:.3f} ms apart"
+    return f"{text}: if the images were taken together, {_remedy_of_offset(offset_ns)}"
 
 
 def stamp_offset_ns(
@@ -70,29 +99,40 @@ def stamp_offset_ns(
     return int(np.median(offsets)) if offsets.size else None
 
 
+def _remedy_of_offset(offset_ns: int) -> str:
+    """The parameters that pair stamps so far apart."""
+    return f"set approximate_sync and an approximate_sync_tolerance_seconds above {abs(offset_ns) / 1e9:.6f}"
+
+
 def _stamps(arrivals: Sequence[Arrival], side: int) -> npt.NDArray[np.int64]:
     return np.array([stamp for arrived, stamp in arrivals if arrived == side], np.int64)
 
 
 def _nearest(stamps: npt.NDArray[np.int64], others: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """For each of the stamps the index of the nearest of the others."""
-    nearest: npt.NDArray[np.int64] = np.abs(stamps[:, None] - others[None, :]).argmin(axis=1)
+    """For each of the stamps the index of the nearest of the others; both ascend."""
+    after = np.searchsorted(others, stamps).clip(max=others.size - 1)
+    before = (after - 1).clip(min=0)
+    nearest: npt.NDArray[np.int64] = np.where(stamps - others[before] < np.abs(others[after] - stamps), before, after)
     return nearest
 
 
-def _lag(arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits) -> str:
-    """A sentence where a side arrives when the queue has dropped its partners already; else empty."""
+def _lag(arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits) -> TopicError | None:
+    """What is wrong where a side arrives when the queue has dropped its partners already; else None."""
     for late, name in enumerate(names):
         lags = _lags(arrivals, late, limits.tolerance_ns or 0)
         if not lags or np.median([messages for messages, _ in lags]) < limits.queue_size:
             continue
         messages, most = int(np.median([messages for messages, _ in lags])), max(messages for messages, _ in lags)
         ms = np.median([time_ns for _, time_ns in lags]) / 1e6
-        return (
+        return TopicError(
             f"{name} arrives {messages} messages ({ms:.0f} ms) after those of {names[1 - late]} with its stamps, and "
-            f"queue_size keeps {limits.queue_size}: set queue_size to {most + 1} or more, or find what delays it"
+            f"queue_size keeps {limits.queue_size}",
+            value=messages,
+            limit=limits.queue_size,
+            remedy=f"set queue_size to {most + 1} or more, or find what delays it",
+            settings=("queue_size",),
         )
-    return ""
+    return None
 
 
 def _lags(arrivals: Sequence[Arrival], late: int, tolerance_ns: int) -> list[tuple[int, int]]:

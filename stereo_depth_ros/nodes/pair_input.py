@@ -13,7 +13,7 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import Frame, StereoPair
-from stereo_depth_ros.core.unpaired import Arrival, cause_of_loss, unset_stamps
+from stereo_depth_ros.core.unpaired import Arrival, cause_of_duplicates, cause_of_loss, unset_stamps
 from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.image import decode, decode_pair, image_size
 from stereo_depth_ros.messages.types import stamp_ns
@@ -47,7 +47,7 @@ class PairInput:
         self._unpaired_at_start, self._excused = [0, 0], [0, 0]
         for side, topic in enumerate(self._topics):
             node.diagnostics.watch_loss(f"unpaired {topic}", functools.partial(self._lost, side), self._cause_of_loss)
-        node.diagnostics.watch_loss(_DUPLICATES, self._duplicates, self._cause_of_duplicates)
+        node.diagnostics.watch_loss(_DUPLICATES, self._duplicates, lambda: str(cause_of_duplicates(self._names())))
         self._depth = BitDepth()
         node.on_idle.append(self._restart)
 
@@ -76,21 +76,15 @@ class PairInput:
         self._arrivals.append((side, stamp))
         if stamp == 0:
             self._unset += 1
-            if text := unset_stamps(self._arrivals, self._names()):
-                self._node.diagnostics.report_error("stamps not set", text)
+            if error := unset_stamps(self._arrivals, self._names()):
+                self._node.diagnostics.report_error("stamps not set", str(error))
         return stamp
 
     def _cause_of_loss(self) -> str:
-        return cause_of_loss(self._arrivals, self._names(), self._node.parameters.get(PairingConfig))
+        return str(cause_of_loss(self._arrivals, self._names(), self._node.parameters.get(PairingConfig)))
 
     def _names(self) -> tuple[str, str]:
         return self._node.resolve_topic_name(self._topics[0]), self._node.resolve_topic_name(self._topics[1])
-
-    def _cause_of_duplicates(self) -> str:
-        return (
-            f"messages of {' or '.join(self._names())} have the stamp of one before, and only the first is used: "
-            "look for a second publisher, or a clock that stands still"
-        )
 
     def _restart(self) -> None:
         """While the node was idle its stream may have started again, with earlier stamps, and the cameras changed."""

@@ -9,7 +9,7 @@ import functools
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
@@ -123,7 +123,7 @@ def play(
             finally:
                 ports.close()
             _check_rig(options, ports)
-            _check_played(options, player, ports.errors_reported())
+            _check_played(options, player, ports.errors_reported(), pairs.losses)
         result = RunReport(
             bag=options.selection.path,
             output=options.output_path,
@@ -134,7 +134,7 @@ def play(
             wall_s=player.wall_s,
             stages_ms=ports.stages_ms(),
             realtime=options.realtime,
-            warnings=tuple(text for text in (pairs.warning, ports.errors_reported(), intruders) if text),
+            warnings=tuple(text for text in (pairs.warning, *pairs.losses, ports.errors_reported(), intruders) if text),
         )
     if options.output_path is None:
         return result
@@ -150,11 +150,11 @@ def _check_rig(options: ReplayOptions, ports: GraphPorts) -> None:
         raise CalibrationError(fault, subject=options.bag)
 
 
-def _check_played(options: ReplayOptions, player: Player, errors_reported: str) -> None:
+def _check_played(options: ReplayOptions, player: Player, errors_reported: str, losses: Sequence[str]) -> None:
     """Refuse to keep a recording without outputs."""
     if not player.sent:
         raise BagError(
-            f"no pair after {options.start_seconds:g} s",
+            "; ".join((f"no pair after {options.start_seconds:g} s", *losses)),
             subject=options.bag,
             remedy="begin earlier, or play more",
             settings=("start_seconds", "duration_seconds"),

@@ -84,7 +84,7 @@ def process_bag(
             engine.finish()
             _refuse(engine.fault, selection.path, strict)
             if engine.rig is None or not writer.message_count:
-                reasons = "; ".join(refused.values()) or "it holds no pairs of the given pairing"
+                reasons = "; ".join((*refused.values(), *pairs.losses)) or "it holds no pairs of the given pairing"
                 raise BagError(
                     f"no pair could be processed: {reasons}",
                     subject=str(selection.path),
@@ -105,6 +105,7 @@ def process_bag(
             score=score_disparity(output, selection.path),
             warnings=(
                 *((pairs.warning,) if pairs.warning else ()),
+                *pairs.losses,
                 *refused.values(),
                 *([str(engine.fault)] if engine.fault else []),
             ),

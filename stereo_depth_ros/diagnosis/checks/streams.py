@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.pairing import StereoPairing
+from stereo_depth_ros.core.unpaired import STAMP_REMEDY, stamp_offset_ns, taken_together
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 from stereo_depth_ros.diagnosis.survey import NEAR
 
@@ -31,9 +32,12 @@ def check_streams(left_ns: Sequence[int], right_ns: Sequence[int]) -> list[Findi
     if not len(left_ns) or not len(right_ns):
         return []
     findings = [_check_order(side, stamps) for side, stamps in (("left", left_ns), ("right", right_ns))]
+    if not any(left_ns) or not any(right_ns):
+        return [*findings, Finding("pairs", Level.SKIPPED, "stamps are not set", "stamps of both cameras")]
     exact = _pairs(left_ns, right_ns, PairingConfig())
     near = _pairs(left_ns, right_ns, NEAR)
-    findings.append(_check_pairs(len(exact), near, min(len(left_ns), len(right_ns))))
+    offset_ns = stamp_offset_ns(left_ns, right_ns)
+    findings.append(_check_pairs(len(exact), near, min(len(left_ns), len(right_ns)), offset_ns))
     if near:
         findings.append(_check_offset(near))
     rates = [_rate_hz(stamps) for stamps in (left_ns, right_ns)]
@@ -57,8 +61,7 @@ def _check_order(side: str, stamps: Sequence[int]) -> Finding:
     steps = np.diff(np.array(stamps, np.int64))
     check, limit = f"{side} stamps", "set, ascending"
     if not any(stamps):
-        remedy = "let the driver stamp its images with the time of exposure"
-        return Finding(check, Level.ERROR, "all 0, which means not set", limit, remedy)
+        return Finding(check, Level.ERROR, "all 0, which means not set", limit, STAMP_REMEDY)
     equal, back = int((steps == 0).sum()), int((steps < 0).sum())
     if equal or back:
         remedy = "check the clock of the driver; a bag that is looped or two publishers on a topic do this too"
@@ -66,7 +69,7 @@ def _check_order(side: str, stamps: Sequence[int]) -> Finding:
     return Finding(check, Level.OK, f"{len(stamps)} images", limit)
 
 
-def _check_pairs(exact: int, near: list[tuple[int, int]], images: int) -> Finding:
+def _check_pairs(exact: int, near: list[tuple[int, int]], images: int, offset_ns: int | None) -> Finding:
     limit = f"{100 * MIN_PAIRED:.0f} % of equal stamps"
     value = (
         f"{exact} of {images} of equal stamps, {len(near)} within {1e3 * NEAR.approximate_sync_tolerance_seconds:g} ms"
@@ -84,6 +87,8 @@ def _check_pairs(exact: int, near: list[tuple[int, int]], images: int) -> Findin
         remedy = "images of one camera are missing: check the drops, the load and the bandwidth"
         return Finding("pairs", Level.WARNING, value, limit, remedy, figures)
     remedy = "synchronize the cameras and their clocks: no two images were taken together"
+    if offset_ns:
+        remedy = f"synchronize the cameras and their clocks; {taken_together(offset_ns)}"
     return Finding("pairs", Level.ERROR, value, limit, remedy, figures)
 
 
