@@ -37,7 +37,7 @@ def test_offset_is_measured_whatever_else_is_lost(lost: range) -> None:
 
 
 def test_a_side_that_has_stopped_has_no_offset() -> None:
-    """The last stamps are three periods apart, which is no offset."""
+    """The last stamps are three periods apart: another frame, not an offset."""
     left, right = [(1000 + 50 * n) * MS for n in range(10, 18)], [(1000 + 50 * n) * MS for n in range(8)]
     assert stamp_offset_ns(left, right) is None
     assert "apart" not in str(cause_of_loss([(1, s) for s in right] + [(0, s) for s in left], NAMES, EXACT))
@@ -62,8 +62,16 @@ def test_a_side_within_the_queue_is_not_late(late: int) -> None:
     )
 
 
+def test_a_side_whose_partners_are_kept_longer_is_not_late() -> None:
+    """As color images for the disparities of a slow matcher."""
+    right = [1000 + 50 * number for number in range(60)]
+    arrivals = [(1 - side, stamp) for side, stamp in in_turn(right, right[::2], 50 * 9 + 1)]
+    assert "/l arrives 9 messages" in str(cause_of_loss(arrivals, NAMES, EXACT))
+    assert "messages of one have no partner" in str(cause_of_loss(arrivals, NAMES, EXACT, right_queue_size=20))
+
+
 def test_one_side_alone_is_named() -> None:
-    text = "only one of /l and /r arrives: start the other camera, or remap"
+    text = "only one of /l and /r arrives: start the other one, or remap"
     assert str(cause_of_loss([(0, 5), (0, 6)], NAMES, EXACT)) == text
 
 

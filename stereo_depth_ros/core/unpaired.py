@@ -27,19 +27,23 @@ Arrival: TypeAlias = tuple[int, int]  # side, 0 is left and 1 right, and stamp i
 STAMP_REMEDY = "let the driver stamp its images with the time of exposure"
 
 
-def cause_of_loss(arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits) -> TopicError:
+def cause_of_loss(
+    arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits, right_queue_size: int = 0
+) -> TopicError:
     """The most likely cause and its remedy.
 
     Args:
         arrivals: the last ones of both sides, in order.
         names: topics of the sides.
         limits: of the pairing.
+        right_queue_size: of the pairing, where the right side keeps more than the left one.
     """
     left, right = _stamps(arrivals, 0), _stamps(arrivals, 1)
     both = " and ".join(names)
     if not (left.size and right.size):
-        return TopicError(f"only one of {both} arrives", remedy="start the other camera, or remap")
-    if error := unset_stamps(arrivals, names) or _lag(arrivals, names, limits):
+        return TopicError(f"only one of {both} arrives", remedy="start the other one, or remap")
+    queue_sizes = limits.queue_size, max(limits.queue_size, right_queue_size)
+    if error := unset_stamps(arrivals, names) or _lag(arrivals, names, queue_sizes, limits.tolerance_ns or 0):
         return error
     offset_ns, limit_ns = stamp_offset_ns(left, right), limits.tolerance_ns
     if offset_ns is None or limit_ns is None or abs(offset_ns) <= limit_ns:
@@ -116,19 +120,21 @@ def _nearest(stamps: npt.NDArray[np.int64], others: npt.NDArray[np.int64]) -> np
     return nearest
 
 
-def _lag(arrivals: Sequence[Arrival], names: tuple[str, str], limits: PairingLimits) -> TopicError | None:
+def _lag(
+    arrivals: Sequence[Arrival], names: tuple[str, str], queue_sizes: tuple[int, int], tolerance_ns: int
+) -> TopicError | None:
     """What is wrong where a side arrives when the queue has dropped its partners already; else None."""
     for late, name in enumerate(names):
-        lags = _lags(arrivals, late, limits.tolerance_ns or 0)
-        if not lags or np.median([messages for messages, _ in lags]) < limits.queue_size:
+        lags, kept = _lags(arrivals, late, tolerance_ns), queue_sizes[1 - late]
+        if not lags or np.median([messages for messages, _ in lags]) < kept:
             continue
         messages, most = int(np.median([messages for messages, _ in lags])), max(messages for messages, _ in lags)
         ms = np.median([time_ns for _, time_ns in lags]) / 1e6
         return TopicError(
             f"{name} arrives {messages} messages ({ms:.0f} ms) after those of {names[1 - late]} with its stamps, and "
-            f"queue_size keeps {limits.queue_size}",
+            f"queue_size keeps {kept}",
             value=messages,
-            limit=limits.queue_size,
+            limit=kept,
             remedy=f"set queue_size to {most + 1} or more, or find what delays it",
             settings=("queue_size",),
         )

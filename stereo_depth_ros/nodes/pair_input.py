@@ -81,7 +81,8 @@ class PairInput:
         return stamp
 
     def _cause_of_loss(self) -> str:
-        return str(cause_of_loss(self._arrivals, self._names(), self._node.parameters.get(PairingConfig)))
+        limits, kept = self._node.parameters.get(PairingConfig), self._pairing.right_queue_size
+        return str(cause_of_loss(self._arrivals, self._names(), limits, kept))
 
     def _names(self) -> tuple[str, str]:
         return self._node.resolve_topic_name(self._topics[0]), self._node.resolve_topic_name(self._topics[1])
