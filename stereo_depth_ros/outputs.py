@@ -92,12 +92,13 @@ class Output(NamedTuple):
     build: Callable[[ResultMessages, StereoResult], Any]
 
 
-# Outputs for obstacle avoidance are published first. Used by the fused node, the offline engine and the replay.
+# What takes less time to build and send is published first, so that the cloud holds back nothing that is asked for. Used
+# by the fused node, the offline engine and the replay.
 OUTPUTS = (
-    Output("points2", "sensor_msgs/msg/PointCloud2", ResultMessages.cloud),
     Output("disparity", "stereo_msgs/msg/DisparityImage", ResultMessages.disparity),
     Output("depth/image_rect", "sensor_msgs/msg/Image", ResultMessages.depth),
     Output("depth/camera_info", "sensor_msgs/msg/CameraInfo", ResultMessages.depth_camera_info),
+    Output("points2", "sensor_msgs/msg/PointCloud2", ResultMessages.cloud),
     Output("left/image_rect", "sensor_msgs/msg/Image", ResultMessages.left_rectified),
     Output("left/image_rect_color", "sensor_msgs/msg/Image", ResultMessages.left_rectified_color),
     Output("right/image_rect", "sensor_msgs/msg/Image", ResultMessages.right_rectified),

@@ -236,7 +236,7 @@ def test_the_log_names_inputs_qos_matcher_and_what_the_node_waits_for() -> None:
         assert fused.readiness() == [
             "inputs: /left/camera_info, /right/camera_info (best effort unless latched, depth 7); "
             "/left/image_raw (reliable, depth 7); /right/image_raw (reliable as its publishers, depth 7)",
-            "ready; matcher bm; waiting for a subscriber of /points2, /d, /depth/image_rect, /depth/camera_info, "
+            "ready; matcher bm; waiting for a subscriber of /d, /depth/image_rect, /depth/camera_info, /points2, "
             "/left/image_rect, /left/image_rect_color, /right/image_rect",
         ]
         assert features.readiness()[1] == "ready; matcher features; waiting for a subscriber of /features/points2"
