@@ -92,8 +92,8 @@ class Output(NamedTuple):
     build: Callable[[ResultMessages, StereoResult], Any]
 
 
-# What takes less time to build and send is published first, so that the cloud holds back nothing that is asked for. Used
-# by the fused node, the offline engine and the replay.
+# What takes less time to build and send is published first, so that the cloud holds back nothing. Used by the fused
+# node, the offline engine and the replay.
 OUTPUTS = (
     Output("disparity", "stereo_msgs/msg/DisparityImage", ResultMessages.disparity),
     Output("depth/image_rect", "sensor_msgs/msg/Image", ResultMessages.depth),

@@ -6,31 +6,37 @@ from __future__ import annotations
 
 import array
 import copy
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import graph_harness  # noqa: F401  (its domain)
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image, PointCloud2, PointField, RegionOfInterest
+from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 from stereo_msgs.msg import DisparityImage
 
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.messages.types import make_header
 from stereo_depth_ros.nodes import sending
 from stereo_depth_ros.nodes.message_types import RclpyTypes
 
 TYPES = RclpyTypes()
-HEADER = Header(stamp=Time(sec=7, nanosec=123456789), frame_id="links_optisch")
+FRAME_ID = "links_optisch"
 
 
-def image(width: int, height: int, channels: int = 1, frame_id: str = "links_optisch") -> Any:
-    data, view = TYPES.payload(width * height * channels)
+def header(types: Any, frame_id: str = FRAME_ID) -> Any:
+    return make_header(types, 7_123_456_789, frame_id)
+
+
+def image(width: int, height: int, channels: int = 1, frame_id: str = FRAME_ID, types: Any = TYPES) -> Any:
+    data, view = types.payload(width * height * channels)
     view[:] = np.arange(view.size) * 7 % 251
-    header = Header(stamp=HEADER.stamp, frame_id=frame_id)
     encoding = {1: "mono8", 3: "bgr8", 4: "32FC1"}[channels]
-    return TYPES.Image(
-        header=header,
+    return types.Image(
+        header=header(types, frame_id),
         height=height,
         width=width,
         encoding=encoding,
@@ -40,12 +46,13 @@ def image(width: int, height: int, channels: int = 1, frame_id: str = "links_opt
     )
 
 
-def cloud(points: int, step: int) -> Any:
-    data, view = TYPES.payload(points * step)
+def cloud(points: int, step: int, types: Any = TYPES) -> Any:
+    data, view = types.payload(points * step)
     view[:] = np.arange(view.size) * 11 % 253
-    fields = [PointField(name=name, offset=4 * i, datatype=7, count=1) for i, name in enumerate(("x", "y", "z", "rgb"))]
-    return TYPES.PointCloud2(
-        header=HEADER,
+    names = ("x", "y", "z", "rgb")
+    fields = [types.PointField(name=name, offset=4 * i, datatype=7, count=1) for i, name in enumerate(names)]
+    return types.PointCloud2(
+        header=header(types),
         height=1,
         width=points,
         fields=fields,
@@ -57,13 +64,19 @@ def cloud(points: int, step: int) -> Any:
     )
 
 
-def disparity(width: int, height: int) -> Any:
-    return TYPES.DisparityImage(
-        header=HEADER,
-        image=image(width, height, 4),
+def compressed(size: int) -> Any:
+    data, view = TYPES.payload(size)
+    view[:] = np.arange(size) * 13 % 241
+    return TYPES.CompressedImage(header=header(TYPES), format="png", data=data)
+
+
+def disparity(width: int = 7, height: int = 5, types: Any = TYPES) -> Any:
+    return types.DisparityImage(
+        header=header(types),
+        image=image(width, height, 4, types=types),
         f=123.5,
         t=0.125,
-        valid_window=RegionOfInterest(x_offset=3, y_offset=5, height=7, width=11, do_rectify=True),
+        valid_window=types.RegionOfInterest(x_offset=3, y_offset=5, height=7, width=11, do_rectify=True),
         min_disparity=-2.0,
         max_disparity=61.0,
         delta_d=0.0625,
@@ -71,7 +84,7 @@ def disparity(width: int, height: int) -> Any:
 
 
 def assert_is(sent: bytes, message: Any) -> None:
-    """It has the length and the fields of what rclpy sends; Fast CDR leaves the bytes between fields as they are."""
+    """It has the length and the fields of what rclpy sends, which leaves the bytes that align a field as they are."""
     holder = getattr(message, "image", message)
     payload = holder._data
     holder._data = array.array("B", payload.tobytes())
@@ -129,6 +142,8 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
         image(1, 1),
         cloud(13, 16),
         cloud(5, 32),
+        compressed(1),
+        compressed(999),
         disparity(7, 5),
         disparity(64, 48),
     ],
@@ -142,6 +157,23 @@ def test_message_is_that_of_rclpy(message: Any, sent: list[bytes]) -> None:
     for each in sent:
         assert_is(each, message)
     assert publisher.by_rclpy == []
+
+
+@pytest.mark.parametrize("name", ["", "a", "ab", "abc", "abcd", "größe"])
+def test_names_of_any_length(name: str, sent: list[bytes]) -> None:
+    message = cloud(3, 16)
+    message.header.frame_id = name
+    message.fields[1].name = name
+    sending.send(FakePublisher(), message)
+    assert_is(sent[0], message)
+
+
+@pytest.mark.parametrize("build", [functools.partial(image, 7, 9, 3), functools.partial(cloud, 13, 16), disparity])
+def test_bytes_are_those_of_the_offline_engine(build: Callable[..., Any], sent: list[bytes]) -> None:
+    """Also those that align a field, which rclpy leaves as they are."""
+    sending.send(FakePublisher(), build())
+    offline = RosbagsTypes()
+    assert sent == [offline.serialize(build(types=offline))]
 
 
 def test_payload_lies_where_kernels_want_it() -> None:

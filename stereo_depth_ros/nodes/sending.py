@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import array
 import ctypes
 import functools
 import sys
@@ -12,15 +11,14 @@ from typing import Any
 
 import numpy as np
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
 
 from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.messages.cdr_fields import fields_around_payload
 
 __all__ = ["Payload", "send"]
 
 _HEAD, _TAIL = 4096, 256  # bytes before and after a payload, for the other fields; most take fewer than 200
 _ALIGNMENT = 64  # of a payload in memory; also a multiple of every alignment in CDR
-_MARK = bytes(range(129, 129 + 16))  # in place of the payload; not valid UTF-8, so in no name
 
 
 class Payload(np.ndarray[Any, np.dtype[np.uint8]]):
@@ -48,17 +46,17 @@ def send(publisher: Publisher, message: Any) -> None:
     """Publish; the memory of the message may be reused afterwards.
 
     rclpy's publish copies a payload twice, into a C message and from there into a serialized one, and holds the lock of
-    the interpreter while the middleware copies it again. Here the other fields are serialized by rclpy, and written
-    around the payload; the middleware gets the whole. The bytes sent are the same.
+    the interpreter while the middleware copies it again. Here the other fields are written around the payload, and the
+    middleware gets the whole.
 
     Args:
         publisher: of the type of the message.
         message: one without a payload of this module, in ``data`` or ``image.data``, is published by rclpy.
     """
-    holder = getattr(message, "image", message)
-    payload, function = getattr(holder, "_data", None), _publish_function()
+    payload = getattr(getattr(message, "image", message), "_data", None)
+    function = _publish_function()
     if isinstance(payload, Payload) and function is not None:
-        serialized = _serialize_around(message, holder, payload)
+        serialized = _serialize_around(message, payload)
         if serialized is not None:
             with publisher.handle:
                 if function(publisher.handle.pointer, ctypes.byref(_SerializedMessage.of(serialized)), None) == 0:
@@ -66,23 +64,17 @@ def send(publisher: Publisher, message: Any) -> None:
     publisher.publish(message)  # also raises what is wrong
 
 
-def _serialize_around(message: Any, holder: Any, payload: Payload) -> U8 | None:
-    """The serialized message, a view of the memory of its payload; None if there is not enough room."""
-    mark = _MARK[: 8 + payload.size % 8]  # what follows is aligned as after the payload
-    holder._data = array.array("B", mark)
-    try:
-        fields = serialize_message(message)
-    finally:
-        holder._data = payload
-    at = fields.rindex(len(mark).to_bytes(4, sys.byteorder) + mark)
-    head = fields[:at] + payload.size.to_bytes(4, sys.byteorder)
-    tail = fields[at + 4 + len(mark) :]
-    end = payload.begin + payload.size
-    if len(head) > payload.begin or len(tail) > payload.room.size - end:
+def _serialize_around(message: Any, payload: Payload) -> U8 | None:
+    """The serialized message, a view of the memory of its payload; None if its fields are not known or too long."""
+    fields = fields_around_payload(message)
+    if fields is None:
         return None
-    payload.room[payload.begin - len(head) : payload.begin] = np.frombuffer(head, np.uint8)
-    payload.room[end : end + len(tail)] = np.frombuffer(tail, np.uint8)
-    return payload.room[payload.begin - len(head) : end + len(tail)]
+    (before, after), end = fields, payload.begin + payload.size
+    if len(before) > payload.begin or len(after) > payload.room.size - end:
+        return None
+    payload.room[payload.begin - len(before) : payload.begin] = np.frombuffer(before, np.uint8)
+    payload.room[end : end + len(after)] = np.frombuffer(after, np.uint8)
+    return payload.room[payload.begin - len(before) : end + len(after)]
 
 
 class _SerializedMessage(ctypes.Structure):
@@ -103,6 +95,8 @@ class _SerializedMessage(ctypes.Structure):
 @functools.cache
 def _publish_function() -> Any:
     """rcl_publish_serialized_message of the library that rclpy has loaded; None where it is not found by its name."""
+    if sys.byteorder != "little":  # as the fields and the payloads are
+        return None
     try:
         function = ctypes.CDLL("librcl.so").rcl_publish_serialized_message
     except (OSError, AttributeError):
