@@ -161,8 +161,8 @@ def test_live_images_have_the_bytes_of_the_offline_engine(name: str, tmp_path: P
         offline = [RosbagsTypes().deserialize(data, "sensor_msgs/msg/Image")
                    for data in messages_of(tmp_path / "out.mcap", f"/{topic}").values()]  # fmt: skip
         for live, other in zip(messages, offline, strict=True):
-            assert live.encoding == "mono8"
-            np.testing.assert_array_equal(image_pixels(live), other.data.reshape(HEIGHT, WIDTH))
+            assert live.encoding == other.encoding == "mono16"
+            np.testing.assert_array_equal(image_pixels(live), other.data.view("<u2").reshape(HEIGHT, WIDTH))
 
 
 def test_doctor_names_the_depth_and_does_not_see_black_images(tmp_path: Path) -> None:
