@@ -152,8 +152,8 @@ class Harness:
             self._executor.spin_once(timeout_sec=0.1)
         return min(self.received.values()) >= count
 
-    def spin_once(self) -> None:
-        self._executor.spin_once(timeout_sec=0.1)
+    def spin_once(self, timeout_s: float = 0.1) -> None:
+        self._executor.spin_once(timeout_sec=timeout_s)
 
     def close(self) -> None:
         self._executor.shutdown()
