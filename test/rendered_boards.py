@@ -17,6 +17,7 @@ from stereo_depth_ros.core.types import F64, U8
 
 SIZE = (400, 300)
 SQUARE_M = 0.03
+FINE = 3  # samples of a pixel in either direction
 _MARGIN = 1.0  # squares of white around a board
 
 
@@ -147,7 +148,7 @@ def _with_margin(image: U8, cell_px: int) -> U8:
 def photograph(
     print_: tuple[U8, F64], cell_px: int, cell_m: float, rig: KnownRig, pose: F64, noise: float = 2.0
 ) -> tuple[U8, U8]:
-    """Left and right image of a print, 3 x 3 samples per pixel, with slight noise."""
+    """Left and right image of a print, FINE x FINE samples per pixel, with slight noise."""
     random = np.random.default_rng(round(1e6 * abs(pose[0])))
     images = []
     for side, at in _sides(rig, pose):
@@ -163,20 +164,22 @@ def chessboard_photographs() -> tuple[tuple[U8, U8], ...]:
     return tuple(photograph(print_, 40, SQUARE_M, FISHEYE, pose) for pose in poses(8, board_m, FISHEYE, seed=3))
 
 
+@functools.lru_cache(maxsize=2)  # both cameras of a rig
+def _rays(model: str, camera: tuple[float, ...]) -> F64:
+    """X and Y, at Z = 1, of the directions of the samples of an image, (N, 1, 2)."""
+    side, (width, height) = np.array(camera), SIZE
+    x, y = np.meshgrid((np.arange(width * FINE) + 0.5) / FINE - 0.5, (np.arange(height * FINE) + 0.5) / FINE - 0.5)
+    pixels = np.column_stack([x.ravel(), y.ravel()]).reshape(-1, 1, 2)
+    undistort = cv2.fisheye.undistortPoints if model == "equidistant" else cv2.undistortPoints
+    return np.asarray(undistort(pixels, camera_matrix(side), side[4:]), np.float64)
+
+
 def _seen(print_: tuple[U8, F64], cell_px: int, cell_m: float, model: str, side: F64, pose: F64) -> F64:
     image, origin = print_
-    width, height, fine = *SIZE, 3
-    x, y = np.meshgrid((np.arange(width * fine) + 0.5) / fine - 0.5, (np.arange(height * fine) + 0.5) / fine - 0.5)
-    pixels = np.column_stack([x.ravel(), y.ravel()]).reshape(-1, 1, 2)
-    K, D = camera_matrix(side), side[4:]
-    undistort = cv2.fisheye.undistortPoints if model == "equidistant" else cv2.undistortPoints
-    rays = np.column_stack([undistort(pixels, K, D).reshape(-1, 2), np.ones(len(pixels))])
-    R, t = cv2.Rodrigues(pose[:3])[0], pose[3:]
-    normal = R[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        points = ((rays * ((normal @ t) / (rays @ normal))[:, None]) - t) @ R  # on the board, meters
-    at = (points[:, :2] / cell_m - origin) * cell_px - 0.5
-    at = np.where(np.isfinite(at).all(axis=1, keepdims=True), at, -9).clip(-9, 30000).astype(np.float32)
-    maps = at.reshape(height * fine, width * fine, 2)
+    to_camera = np.column_stack([cv2.Rodrigues(pose[:3])[0][:, :2] * cell_m, pose[3:]])  # from cells of the board
+    to_print = np.diag([cell_px, cell_px, 1.0])
+    to_print[:2, 2] = -origin * cell_px - 0.5
+    at = cv2.perspectiveTransform(_rays(model, tuple(side)), to_print @ np.linalg.inv(to_camera))
+    maps = at.clip(-9, 30000).astype(np.float32).reshape(SIZE[1] * FINE, SIZE[0] * FINE, 2)
     fine_view = cv2.remap(image.astype(np.float32), maps, None, cv2.INTER_LINEAR, borderValue=110)
     return np.asarray(cv2.resize(fine_view, SIZE, interpolation=cv2.INTER_AREA), np.float64)

@@ -112,6 +112,15 @@ def test_profile_keeps_udp_beside_shared_memory() -> None:
     assert ("segment_size", str(128 << 20)) in elements
 
 
+def test_heartbeat_travels_in_the_message_of_its_piece() -> None:
+    """Fast DDS 3 counts the 84 bytes of headers of a piece twice; a heartbeat without room is one more message."""
+    texts = [item.text for item in ElementTree.parse(profile_path()).iter()]
+    piece = int(texts[texts.index("fastdds.max_message_size") + 1] or 0)
+    assert piece <= 65500 - 84
+    pieces = [-(-(1280 * 720 * size + 200) // (piece - 168)) for size in (32, 4)]  # of a cloud and a disparity
+    assert sum(pieces) < 512  # the queue of a subscriber without a profile
+
+
 @pytest.mark.parametrize("site", ["lib/python3.12/site-packages", "local/lib/python3.12/dist-packages", "."])
 def test_profile_is_found_in_the_prefix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, site: str) -> None:
     package = tmp_path / site / "stereo_depth_ros"
