@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a stopped reliable subscriber of points2 costs: send time of the node, latency and losses of a healthy one.
+
+python benchmarks/stopped_subscriber.py
+python benchmarks/stopped_subscriber.py --frames 300 --rate 15
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from graph import Harness, graph_processes
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import PointCloud2
+
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
+
+__all__ = ["main"]
+
+SIZE = (640, 480)
+WINDOW = 100  # frames of the percentiles on /diagnostics
+TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was measured with one state of the other subscriber."""
+
+    state: str
+    send_ms: tuple[float, float]
+    latencies_ms: list[float]
+    lost: int
+
+    def __str__(self) -> str:
+        median, late = np.percentile(self.latencies_ms or [np.nan], (50, 95))
+        return (
+            f"{self.state:>10} {self.send_ms[0]:12.1f} {self.send_ms[1]:8.1f} {median:12.1f} {late:8.1f} {self.lost:6d}"
+        )
+
+
+class Diagnostics:
+    """The newest values of the fused node on /diagnostics."""
+
+    def __init__(self, harness: Harness) -> None:
+        self.values: dict[str, str] = {}
+        harness.node.create_subscription(DiagnosticArray, "/diagnostics", self._receive, 10)
+
+    def _receive(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "/stereo_depth_node":
+                self.values = {item.key: item.value for item in status.values}
+
+    def send_ms(self) -> tuple[float, float]:
+        """Median and 95th percentile of the time to send a cloud, ms."""
+        return float(self.values["send points2 p50 ms"]), float(self.values["send points2 p95 ms"])
+
+
+@contextmanager
+def subscriber(reliable: bool = True) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that subscribes points2 and does nothing else."""
+    process = subprocess.Popen([sys.executable, __file__, "--subscribe", "reliable" if reliable else "best effort"])
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.kill()
+        process.wait()
+
+
+def subscribe(reliability: str) -> None:
+    """The program of that process."""
+    rclpy.init()
+    node = rclpy.create_node("other_subscriber")
+    policy = ReliabilityPolicy.RELIABLE if reliability == "reliable" else ReliabilityPolicy.BEST_EFFORT
+    node.create_subscription(PointCloud2, "points2", lambda _: None, QoSProfile(depth=10, reliability=policy), raw=True)
+    rclpy.spin(node)
+
+
+def measure(harness: Harness, diagnostics: Diagnostics, state: str, frames: int, rate_hz: float) -> Row:
+    """Send pairs at a rate; time each cloud that comes before the next pair is due twice over."""
+    latencies_ms, lost, due = [], 0, time.monotonic()
+    for _ in range(frames):
+        harness.wait_until(due)
+        due = max(due + 1 / rate_hz, time.monotonic())
+        before, start = harness.received["points2"], time.perf_counter()
+        harness.send(harness.messages())
+        if harness.wait_cloud(before + 1, timeout_s=2.0):
+            latencies_ms.append(1e3 * (time.perf_counter() - start))
+        else:
+            lost += 1
+    harness.wait_until(time.monotonic() + 2.0)  # for the next diagnostics
+    return Row(state, diagnostics.send_ms(), latencies_ms, lost)
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=2 * WINDOW)
+    parser.add_argument("--rate", type=float, default=15.0, help="pairs per second")
+    parser.add_argument("--subscribe", choices=("reliable", "best effort"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.subscribe:
+        subscribe(options.subscribe)
+        return
+    rclpy.init()
+    with graph_processes("fused", "bm", 64):
+        harness = Harness(SyntheticSequence(frames=1, width=SIZE[0], height=SIZE[1]), typed=False)
+        diagnostics = Diagnostics(harness)
+        harness.wait_for_graph()
+        print("     other  send p50 ms   p95 ms   latency ms   p95 ms   lost")
+        print(measure(harness, diagnostics, "none", options.frames, options.rate), flush=True)
+        with subscriber() as process:
+            harness.wait_for_subscribers("points2", 2)
+            print(measure(harness, diagnostics, "running", options.frames, options.rate), flush=True)
+            process.send_signal(signal.SIGSTOP)
+            print(measure(harness, diagnostics, "stopped", options.frames, options.rate), flush=True)
+            process.send_signal(signal.SIGCONT)
+            print(measure(harness, diagnostics, "continued", options.frames, options.rate), flush=True)
+        harness.close()
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()
