@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from faulty_camera import SOURCES, infos_of, key_of, pair_of
+from faulty_camera import FRAMES, SOURCES, infos_of, key_of, pair_of
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.config import (
@@ -66,7 +66,7 @@ from stopped_subscriber import subscriber  # noqa: E402
 
 from stereo_depth_ros.nodes.message_types import message_class  # noqa: E402
 
-__all__ = ["History", "Table", "main"]
+__all__ = ["FRAMES", "History", "Table", "main"]
 
 TOPICS = ("points2", "disparity", "depth/image_rect")
 BUILDERS = {row.topic: row for row in OUTPUTS if row.topic in TOPICS}

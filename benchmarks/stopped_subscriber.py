@@ -9,6 +9,7 @@ python benchmarks/stopped_subscriber.py --frames 300 --rate 15
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import subprocess
 import sys
@@ -21,9 +22,10 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from graph import Harness, graph_processes
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
+from stereo_depth_ros.nodes.transport import PROFILE_VARIABLES
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 __all__ = ["main"]
@@ -45,7 +47,7 @@ class Row:
     def __str__(self) -> str:
         median, late = np.percentile(self.latencies_ms or [np.nan], (50, 95))
         return (
-            f"{self.state:>10} {self.send_ms[0]:12.1f} {self.send_ms[1]:8.1f} {median:12.1f} {late:8.1f} {self.lost:6d}"
+            f"{self.state:>21} {self.send_ms[0]:12.1f} {self.send_ms[1]:8.1f} {median:12.1f} {late:8.1f} {self.lost:6d}"
         )
 
 
@@ -67,9 +69,10 @@ class Diagnostics:
 
 
 @contextmanager
-def subscriber(reliable: bool = True) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that subscribes points2 and does nothing else."""
-    process = subprocess.Popen([sys.executable, __file__, "--subscribe", "reliable" if reliable else "best effort"])
+def subscriber(profile: bool = True) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that reliably subscribes points2 and does nothing else, with the Fast DDS profile or without any."""
+    environment = {name: value for name, value in os.environ.items() if profile or name not in PROFILE_VARIABLES}
+    process = subprocess.Popen([sys.executable, __file__, "--subscribe"], env=environment)
     try:
         yield process
     finally:
@@ -78,12 +81,11 @@ def subscriber(reliable: bool = True) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-def subscribe(reliability: str) -> None:
+def subscribe() -> None:
     """The program of that process."""
     rclpy.init()
     node = rclpy.create_node("other_subscriber")
-    policy = ReliabilityPolicy.RELIABLE if reliability == "reliable" else ReliabilityPolicy.BEST_EFFORT
-    node.create_subscription(PointCloud2, "points2", lambda _: None, QoSProfile(depth=10, reliability=policy), raw=True)
+    node.create_subscription(PointCloud2, "points2", lambda _: None, QoSProfile(depth=10), raw=True)
     rclpy.spin(node)
 
 
@@ -108,25 +110,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=2 * WINDOW)
     parser.add_argument("--rate", type=float, default=15.0, help="pairs per second")
-    parser.add_argument("--subscribe", choices=("reliable", "best effort"), help=argparse.SUPPRESS)
+    parser.add_argument("--subscribe", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.subscribe:
-        subscribe(options.subscribe)
+        subscribe()
         return
     rclpy.init()
     with graph_processes("fused", "bm", 64):
         harness = Harness(SyntheticSequence(frames=1, width=SIZE[0], height=SIZE[1]), typed=False)
         diagnostics = Diagnostics(harness)
         harness.wait_for_graph()
-        print("     other  send p50 ms   p95 ms   latency ms   p95 ms   lost")
+        print("                other  send p50 ms   p95 ms   latency ms   p95 ms   lost")
         print(measure(harness, diagnostics, "none", options.frames, options.rate), flush=True)
-        with subscriber() as process:
-            harness.wait_for_subscribers("points2", 2)
-            print(measure(harness, diagnostics, "running", options.frames, options.rate), flush=True)
-            process.send_signal(signal.SIGSTOP)
-            print(measure(harness, diagnostics, "stopped", options.frames, options.rate), flush=True)
-            process.send_signal(signal.SIGCONT)
-            print(measure(harness, diagnostics, "continued", options.frames, options.rate), flush=True)
+        for profile in (True, False):
+            with subscriber(profile) as process:
+                harness.wait_for_subscribers("points2", 2)
+                for state, number in (("running", None), ("stopped", signal.SIGSTOP), ("continued", signal.SIGCONT)):
+                    if number is not None:
+                        process.send_signal(number)
+                    name = state if profile else f"{state}, no profile"
+                    print(measure(harness, diagnostics, name, options.frames, options.rate), flush=True)
         harness.close()
     rclpy.shutdown()
 

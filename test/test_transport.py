@@ -112,6 +112,12 @@ def test_profile_keeps_udp_beside_shared_memory() -> None:
     assert ("segment_size", str(128 << 20)) in elements
 
 
+def test_stopped_process_is_forgotten_before_its_port_counts_as_broken() -> None:
+    """Else writers make a port anew for each piece that they send to it; Fast DDS forgets a participant after 20 s."""
+    elements = {item.tag.split("}")[1]: item.text for item in ElementTree.parse(profile_path()).iter()}
+    assert int(elements.get("healthy_check_timeout_ms") or 1000) > 20_000
+
+
 @pytest.mark.parametrize("site", ["lib/python3.12/site-packages", "local/lib/python3.12/dist-packages", "."])
 def test_profile_is_found_in_the_prefix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, site: str) -> None:
     package = tmp_path / site / "stereo_depth_ros"
