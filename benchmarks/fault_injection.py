@@ -451,10 +451,9 @@ FAULTS: dict[str, Callable[[FaultInjection], None]] = {
 }
 
 
-def faults(random_: random.Random, trials: int) -> Iterator[str]:
-    """The start, then all faults again and again, each time in another order."""
+def faults(random_: random.Random, trials: int, names: Sequence[str] = tuple(FAULTS)[1:]) -> Iterator[str]:
+    """The start, then these faults again and again, each time in another order."""
     yield "start"
-    names = [name for name in FAULTS if name != "start"]
     orders = (random_.sample(names, len(names)) for _ in itertools.count())
     yield from itertools.islice(itertools.chain.from_iterable(orders), trials)
 
@@ -479,6 +478,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--trials", type=int, default=10_000, help="of each shape, at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--shapes", nargs="+", default=list(SHAPES), choices=list(SHAPES))
+    parser.add_argument("--faults", nargs="+", default=tuple(FAULTS)[1:], choices=tuple(FAULTS)[1:])
     options = parser.parse_args(arguments)
     rclpy.init()
     failed = False
@@ -486,7 +486,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         table, random_ = Table(), random.Random(options.seed)
         with injection(shape, table, random_) as faulty:
             end = time.monotonic() + options.seconds
-            for fault in faults(random_, options.trials):
+            for fault in faults(random_, options.trials, options.faults):
                 faulty.run(fault)
                 if time.monotonic() > end:
                     break
