@@ -4,6 +4,8 @@
 
 This process publishes raw pairs and receives clouds and disparities; each node runs in a separate process. The bare
 kernels (two remaps, matcher and reprojection, those of OpenCV if available, with all threads) are timed between frames.
+First one pair is in flight at a time; then several, for the rate, also in units of the rate of the kernels, and the
+latency at that rate: so many pairs are always on the way, so it is not below their number divided by the rate.
 
     python benchmarks/graph.py
     python benchmarks/graph.py --shapes fused --matchers bm --frames 100
@@ -20,6 +22,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -63,13 +66,21 @@ class Row:
     kernels_ms: float
     latency_ms: float
     p95_ms: float
+    disparity_ms: float
     fps: float
+    overlapped_ms: float
     lost: int
+
+    HEADER: ClassVar[str] = (
+        "          size   alg     shape  kernels ms  latency ms   p95 ms  ratio  disparity ms  frames/s  x kernels  "
+        "in flight ms  lost"
+    )
 
     def __str__(self) -> str:
         return (
             f"{self.size:>14} {self.matcher:>5} {self.shape:>9} {self.kernels_ms:11.1f} {self.latency_ms:11.1f} "
-            f"{self.p95_ms:8.1f} {self.latency_ms / self.kernels_ms:6.2f} {self.fps:8.1f} {self.lost:5d}"
+            f"{self.p95_ms:8.1f} {self.latency_ms / self.kernels_ms:6.2f} {self.disparity_ms:13.1f} {self.fps:9.1f} "
+            f"{self.fps * self.kernels_ms / 1e3:10.2f} {self.overlapped_ms:13.1f} {self.lost:5d}"
         )
 
 
@@ -141,21 +152,8 @@ class Harness:
             self._executor.spin_once(timeout_sec=0.1)
         return min(self.received.values()) >= count
 
-    def wait_cloud(self, count: int, timeout_s: float = TIMEOUT_S) -> bool:
-        deadline = time.monotonic() + timeout_s
-        while self.received["points2"] < count and time.monotonic() < deadline:
-            self._executor.spin_once(timeout_sec=0.1)
-        return self.received["points2"] >= count
-
-    def wait_until(self, time_s: float) -> None:
-        """Spin until this time of the monotonic clock."""
-        while (left := time_s - time.monotonic()) > 0:
-            self._executor.spin_once(timeout_sec=left)
-
-    def wait_for_subscribers(self, topic: str, count: int) -> None:
-        deadline = time.monotonic() + TIMEOUT_S
-        while self.node.count_subscribers(topic) < count and time.monotonic() < deadline:
-            self._executor.spin_once(timeout_sec=0.1)
+    def spin_once(self, timeout_s: float = 0.1) -> None:
+        self._executor.spin_once(timeout_sec=timeout_s)
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -251,37 +249,58 @@ def _measure(
     frames: int,
     in_flight: int,
 ) -> Row:
-    latencies, kernel_times, lost = [], [], 0
+    latencies: dict[str, list[float]] = {"points2": [], "disparity": []}
+    kernel_times, lost = [], 0
     for frame in range(frames + 5):
         messages = harness.messages()
-        counts = dict(harness.received)
+        first = dict(harness.received)
         start = time.perf_counter()
         harness.send(messages)
-        arrived = harness.wait_cloud(counts["points2"] + 1)
-        latency = 1e3 * (time.perf_counter() - start)
-        lost += not (arrived and harness.wait(min(counts.values()) + 1))
+        arrived: dict[str, float] = {}
+        while len(arrived) < 2 and time.perf_counter() - start < TIMEOUT_S:
+            harness.spin_once()
+            now_ms = 1e3 * (time.perf_counter() - start)
+            for topic, count in harness.received.items():
+                if count > first[topic]:
+                    arrived.setdefault(topic, now_ms)
+        lost += len(arrived) < 2
         kernel_time = kernels()
         if frame >= 5:
-            latencies.append(latency)
             kernel_times.append(kernel_time)
-    batch = [harness.messages() for _ in range(frames)]
-    before = min(harness.received.values())
-    start = time.perf_counter()
-    for sent, messages in enumerate(batch):
-        harness.wait(before + sent + 1 - in_flight)
-        harness.send(messages)
-    lost += not harness.wait(before + frames)
-    fps = frames / (time.perf_counter() - start)
+            for topic, ms in arrived.items():
+                latencies[topic].append(ms)
+    fps, overlapped, missing = _measure_rate(harness, frames, in_flight)
     return Row(
         f"{size[0]}x{size[1]}/{size[2]}",
         matcher,
         shape,
         float(np.median(kernel_times)),
-        float(np.median(latencies)),
-        float(np.percentile(latencies, 95)),
+        float(np.median(latencies["points2"])),
+        float(np.percentile(latencies["points2"], 95)),
+        float(np.median(latencies["disparity"])),
         fps,
-        lost,
+        overlapped,
+        lost + missing,
     )
+
+
+def _measure_rate(harness: Harness, frames: int, in_flight: int) -> tuple[float, float, int]:
+    """Frames per second with so many pairs in flight, the median latency in ms, and 1 where the last did not arrive."""
+    batch = [harness.messages() for _ in range(frames)]
+    sent_at: list[float] = []
+    latencies: list[float] = []
+    before = min(harness.received.values())
+    start = deadline = time.perf_counter()
+    while len(latencies) < frames and time.perf_counter() - deadline < TIMEOUT_S:
+        if len(sent_at) < min(frames, len(latencies) + in_flight):
+            sent_at.append(time.perf_counter())
+            harness.send(batch[len(sent_at) - 1])
+            continue
+        harness.spin_once()
+        while len(latencies) < min(harness.received.values()) - before:
+            deadline = time.perf_counter()
+            latencies.append(1e3 * (deadline - sent_at[len(latencies)]))
+    return len(latencies) / (deadline - start), float(np.median(latencies)), int(len(latencies) < frames)
 
 
 def main() -> None:
@@ -296,7 +315,7 @@ def main() -> None:
     parser.add_argument("--typed", action="store_true", help="receive deserialized messages instead of bytes")
     options = parser.parse_args()
     rclpy.init()
-    print("          size   alg     shape  kernels ms  latency ms   p95 ms  ratio frames/s  lost")
+    print(Row.HEADER)
     for index in options.sizes:
         for matcher in options.matchers:
             for shape in options.shapes:

@@ -40,7 +40,8 @@ SWITCHES = ("fused", "launch_image_proc", "health", "use_sim_time")
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
 
 IMAGE_TOPICS = ("image_raw", "image_rect", "image_rect_color")
-CAMERA_TOPICS = ("camera_info", *IMAGE_TOPICS, *(f"{topic}/compressed" for topic in IMAGE_TOPICS))
+GRAY_AND_COLOR = ("image_mono", "image_color")  # before rectification
+CAMERA_TOPICS = ("camera_info", *IMAGE_TOPICS, *GRAY_AND_COLOR, *(f"{topic}/compressed" for topic in IMAGE_TOPICS))
 
 # image_transport is that of the cameras: rectify_node publishes raw images
 RECTIFIED_TRANSPORT = PythonExpression(
@@ -144,6 +145,7 @@ def actions(file_parameters):
                 node(
                     "rectify_node",
                     "pairing",
+                    "rectification",
                     condition=IfCondition(LaunchConfiguration("launch_image_proc")),
                     rectifies=True,
                 ),

@@ -7,10 +7,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from stereo_depth_ros.core.types import U8, Frame
+from numpy.typing import NDArray
+
+from stereo_depth_ros.core.bit_depth import BitDepth
+from stereo_depth_ros.core.types import U8, U16, Frame
 from stereo_depth_ros.messages.camera_info import rectified_camera_info
 from stereo_depth_ros.messages.depth import depth_message
 from stereo_depth_ros.messages.disparity import match_message
+from stereo_depth_ros.messages.encodings import ENCODINGS, without_alpha
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.messages.point_cloud import cloud_message
@@ -27,19 +31,23 @@ class ResultMessages:
     def __init__(self, types: MessageTypes) -> None:
         self._types = types
         self._pool = PayloadPool(types)
+        self._color_depth = BitDepth()
+
+    def restart(self) -> None:
+        """A new stream begins: its 16-bit colors have a depth of their own."""
+        self._color_depth.restart()
 
     def left_rectified(self, result: StereoResult) -> Any:
         """The left rectified image, gray."""
-        return self._image("left", result.rectified.left, "mono8", result.pair.left)
+        return self._gray("left", result.rectified.left, result.rectified.left_16, result.pair.left)
 
     def left_rectified_color(self, result: StereoResult) -> Any:
         """The left rectified image in its original encoding."""
-        rectified = result.rectified
-        return self._image("left color", rectified.left_color, rectified.color_encoding, result.pair.left)
+        return self._image("left color", *result.left_image, result.pair.left)
 
     def right_rectified(self, result: StereoResult) -> Any:
         """The right rectified image, gray."""
-        return self._image("right", result.rectified.right, "mono8", result.pair.right)
+        return self._gray("right", result.rectified.right, result.rectified.right_16, result.pair.right)
 
     def disparity(self, result: StereoResult) -> Any:
         """The DisparityImage."""
@@ -61,6 +69,7 @@ class ResultMessages:
         """The point cloud."""
         layout = CloudLayout.of(result.config.cloud)
         disparity_px = result.disparity.disparity_px
+        color, encoding = self._color(result) if layout.rgb_offset is not None else (None, "mono8")
         return cloud_message(
             self._types,
             disparity_px,
@@ -68,12 +77,24 @@ class ResultMessages:
             layout,
             stamp_ns=result.stamp_ns,
             frame_id=result.frame_id,
-            color=result.rectified.left_color,
-            color_encoding=result.rectified.color_encoding,
+            color=color,
+            color_encoding=encoding,
             payload=self._pool.get(f"cloud {layout}", disparity_px.size * layout.point_step),
         )
 
-    def _image(self, kind: str, pixels: U8, encoding: str, source: Frame) -> Any:
+    def _color(self, result: StereoResult) -> tuple[U8, str]:
+        """8 bits of the left rectified image without alpha, as point_cloud_node has them from its message."""
+        pixels, encoding = result.left_image
+        pixels = without_alpha(pixels)
+        self._color_depth.include(pixels)
+        return self._color_depth.to_8_bit(pixels), ENCODINGS[encoding].decoded
+
+    def _gray(self, kind: str, gray: U8, gray_16: U16 | None, source: Frame) -> Any:
+        if gray_16 is not None:
+            return self._image(kind, gray_16, "mono16", source)
+        return self._image(kind, gray, "mono8", source)
+
+    def _image(self, kind: str, pixels: NDArray[Any], encoding: str, source: Frame) -> Any:
         payload = self._pool.get(kind, pixels.nbytes)
         return image_message(self._types, pixels, encoding, source.stamp_ns, source.frame_id, payload)
 
@@ -92,12 +113,13 @@ class Output(NamedTuple):
     build: Callable[[ResultMessages, StereoResult], Any]
 
 
-# Outputs for obstacle avoidance are published first. Used by the fused node, the offline engine and the replay.
+# What takes less time to build and send is published first, so that the cloud holds back nothing. Used by the fused
+# node, the offline engine and the replay.
 OUTPUTS = (
-    Output("points2", "sensor_msgs/msg/PointCloud2", ResultMessages.cloud),
     Output("disparity", "stereo_msgs/msg/DisparityImage", ResultMessages.disparity),
     Output("depth/image_rect", "sensor_msgs/msg/Image", ResultMessages.depth),
     Output("depth/camera_info", "sensor_msgs/msg/CameraInfo", ResultMessages.depth_camera_info),
+    Output("points2", "sensor_msgs/msg/PointCloud2", ResultMessages.cloud),
     Output("left/image_rect", "sensor_msgs/msg/Image", ResultMessages.left_rectified),
     Output("left/image_rect_color", "sensor_msgs/msg/Image", ResultMessages.left_rectified_color),
     Output("right/image_rect", "sensor_msgs/msg/Image", ResultMessages.right_rectified),

@@ -8,10 +8,13 @@ import copy
 import time
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
@@ -32,14 +35,16 @@ class StereoPipeline:
     Args:
         config: parameters of all stages.
         rig: the cameras; with an uncalibrated rig the pipeline ends with disparities.
+        depth: of the rectified 16-bit images of a stream, grows with each pair; None is that of each pair alone.
 
     Raises:
         ConfigError, CalibrationError: invalid parameters or rig.
     """
 
-    def __init__(self, config: PipelineConfig, rig: Rig) -> None:
+    def __init__(self, config: PipelineConfig, rig: Rig, depth: BitDepth | None = None) -> None:
         self.config = config
         self.rig = rig
+        self._depth = depth
         self._rectifier = Rectifier(rig)
         self._disparity = DisparityStage(config.matching, self._rectifier)
 
@@ -77,7 +82,7 @@ class StereoPipeline:
     def prepare(self, pair: StereoPair) -> PreparedPair:
         """The first step of :meth:`process`: rectification."""
         start = time.perf_counter()
-        rectified = self._rectifier.rectify(pair)
+        rectified = self._rectifier.rectify(pair, self._depth)
         return PreparedPair(pair, rectified, {"rectify": 1e3 * (time.perf_counter() - start)})
 
     def match(self, prepared: PreparedPair) -> StereoResult:
@@ -86,7 +91,7 @@ class StereoPipeline:
         start = time.perf_counter()
         disparity = self._disparity.match(rectified.left, rectified.right, lambda: self._exchanged(pair))
         timings_ms = {**prepared.timings_ms, "match": 1e3 * (time.perf_counter() - start)}
-        return StereoResult(pair, rectified, disparity, self.rig, self.config, timings_ms)
+        return StereoResult(pair, rectified, disparity, self.rig, self.config, timings_ms, self._rectifier)
 
     def _exchanged(self, pair: StereoPair) -> tuple[U8, U8]:
         exchanged = self._rectifier.rectify(StereoPair(pair.right, pair.left))
@@ -118,6 +123,7 @@ class StereoResult:
         disparity: disparities, reasons and confidence.
         rig, config: those of the pipeline.
         timings_ms: milliseconds by name of the stage; depth is added when it is computed.
+        rectifier: that of the pipeline.
     """
 
     pair: StereoPair
@@ -125,7 +131,8 @@ class StereoResult:
     disparity: MatchResult
     rig: Rig
     config: PipelineConfig
-    timings_ms: dict[str, float] = field(default_factory=dict)
+    timings_ms: dict[str, float]
+    rectifier: Rectifier = field(repr=False)
 
     @property
     def stamp_ns(self) -> int:
@@ -157,6 +164,16 @@ class StereoResult:
                 remedy="calibrate both cameras together and use a StereoRig",
             )
         return self.rig
+
+    @cached_property
+    def left_image(self) -> tuple[npt.NDArray[Any], str]:
+        """The rectified left image in the encoding of the camera, and that encoding; a mosaic in color."""
+        rectified, camera = self.rectified, self.pair.left.camera
+        if camera is None:
+            return rectified.left_color, rectified.color_encoding
+        if rectified.left_16 is not None and camera.encoding == "mono16":
+            return rectified.left_16, camera.encoding
+        return self.rectifier.rectify_left(camera.color(self.config.rectification.debayer)), camera.encoding
 
     @cached_property
     def triangulation(self) -> Triangulation:

@@ -314,9 +314,10 @@ class NodeProcess:
 
 
 def image_pixels(message: Any) -> Any:
-    """The pixels of an Image without row padding: uint8 (H, W) or (H, W, 3), uint16 or float32 (H, W)."""
-    dtype = {"16UC1": "<u2", "32FC1": "<f4"}.get(message.encoding, "u1")
-    channels = 3 if message.encoding in ("rgb8", "bgr8") else 1
+    """The pixels of an Image without row padding, (H, W) or (H, W, C): uint8, uint16 or float32."""
+    name = message.encoding.rstrip("0123456789")
+    dtype = "<u2" if "16" in message.encoding else "<f4" if message.encoding == "32FC1" else "u1"
+    channels = {"rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4}.get(name, 1)
     assert message.step == message.width * channels * np.dtype(dtype).itemsize
     shape = (message.height, message.width, channels)[: 2 if channels == 1 else 3]
     return np.frombuffer(message.data, dtype).reshape(shape)

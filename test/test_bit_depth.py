@@ -145,24 +145,34 @@ def test_live_images_have_the_bytes_of_the_offline_engine(name: str, tmp_path: P
     pytest.importorskip("rclpy", reason="graph tests need ROS 2")
     from graph_harness import Graph, image_pixels
     from sensor_msgs.msg import Image
+    from stereo_msgs.msg import DisparityImage
 
+    from stereo_depth_ros.nodes.disparity_node import DisparityNode
     from stereo_depth_ros.nodes.rectify_node import RectifyNode
     from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
 
-    node_type = {"StereoDepthNode": StereoDepthNode, "RectifyNode": RectifyNode}[name]
+    node_types = {"StereoDepthNode": (StereoDepthNode,), "RectifyNode": (RectifyNode, DisparityNode)}[name]
     write_12_bit(tmp_path / "in.mcap")
     process_bag(BagSelection(tmp_path / "in.mcap"), tmp_path / "out.mcap", pipeline_config(PARAMETERS))
-    with Graph(node_type, parameters=PARAMETERS) as graph:
+    with Graph(*node_types, parameters=PARAMETERS) as graph:
         received = {topic: graph.listen(topic, Image) for topic in RECTIFIED}
+        disparities = graph.listen("disparity", DisparityImage)
+        outputs = (*received.values(), disparities)
         for number, messages in enumerate(live_pairs(), start=1):
-            graph.send(messages)  # camera infos and images
-            graph.wait(lambda number=number: all(len(r) == number for r in received.values()), f"pair {number}")
+            infos = {topic: message for topic, message in messages.items() if topic.endswith("camera_info")}
+            graph.send(infos, subscribers=len(node_types))
+            graph.send({topic: message for topic, message in messages.items() if topic not in infos})
+            graph.wait(lambda number=number: all(len(r) == number for r in outputs), f"pair {number}")
     for topic, messages in received.items():
         offline = [RosbagsTypes().deserialize(data, "sensor_msgs/msg/Image")
                    for data in messages_of(tmp_path / "out.mcap", f"/{topic}").values()]  # fmt: skip
         for live, other in zip(messages, offline, strict=True):
-            assert live.encoding == "mono8"
-            np.testing.assert_array_equal(image_pixels(live), other.data.reshape(HEIGHT, WIDTH))
+            assert live.encoding == other.encoding == "mono16"
+            np.testing.assert_array_equal(image_pixels(live), other.data.view("<u2").reshape(HEIGHT, WIDTH))
+    offline = [RosbagsTypes().deserialize(data, "stereo_msgs/msg/DisparityImage")
+               for data in messages_of(tmp_path / "out.mcap", "/disparity").values()]  # fmt: skip
+    for live, other in zip(disparities, offline, strict=True):
+        assert bytes(live.image.data) == bytes(other.image.data)
 
 
 def test_doctor_names_the_depth_and_does_not_see_black_images(tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_parameters_of_the_nodes_of_stereo_image_proc_are_accepted(tmp_path: Pat
         "    qos_overrides: {/parameter_events: {publisher: {depth: 1000, history: keep_last}}}\n"
         "    start_type_description_service: true\n    use_system_default_qos: false\n    queue_size: 5\n"
     )
-    assert read_params_file(path) == {"P1": 200.0, "approximate_sync": True, "queue_size": 5}
+    assert read_params_file(path) == {"P1": 200.0, "approximate_sync": True, "debayer": 3, "queue_size": 5}
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def test_parameters_are_those_of_the_stages_with_their_types(entities: list[Any]
         for item in dataclasses.fields(PipelineConfig)
     }
     expected = {
-        "rectify_node": stages["pairing"],
+        "rectify_node": {**stages["pairing"], **stages["rectification"]},
         "disparity_node": {**stages["pairing"], **stages["matching"]},
         "point_cloud_node": {**stages["pairing"], **stages["cloud"]},
         "depth_node": {**stages["pairing"], **stages["depth"]},
@@ -188,6 +188,10 @@ def test_camera_topics_follow_the_namespaces(entities: list[Any]) -> None:
             for side in ("left", "right")
             for name in ("image_raw", "image_rect", "image_rect_color")
             for topic in (name, f"{name}/compressed")
+        } | {
+            f"{side}/{name}": f"{side}_namespace/{name}"
+            for side in ("left", "right")
+            for name in ("image_mono", "image_color")
         }
 
 

@@ -234,9 +234,9 @@ def test_the_log_names_inputs_qos_matcher_and_what_the_node_waits_for() -> None:
     ) as graph:
         fused, features = graph.nodes
         assert fused.readiness() == [
-            "inputs: /left/camera_info, /right/camera_info, /right/image_raw (best effort until a loss, depth 7); "
-            "/left/image_raw (reliable, depth 7)",
-            "ready; matcher bm; waiting for a subscriber of /points2, /d, /depth/image_rect, /depth/camera_info, "
+            "inputs: /left/camera_info, /right/camera_info (best effort unless latched, depth 7); "
+            "/left/image_raw (reliable, depth 7); /right/image_raw (reliable as its publishers, depth 7)",
+            "ready; matcher bm; waiting for a subscriber of /d, /depth/image_rect, /depth/camera_info, /points2, "
             "/left/image_rect, /left/image_rect_color, /right/image_rect",
         ]
         assert features.readiness()[1] == "ready; matcher features; waiting for a subscriber of /features/points2"
@@ -246,6 +246,6 @@ def test_the_log_names_inputs_qos_matcher_and_what_the_node_waits_for() -> None:
 def test_the_log_of_a_node_that_does_not_wait() -> None:
     with Graph(CalibrationNode, parameters={"image_transport": "compressed"}) as graph:
         assert graph.nodes[0].readiness() == [
-            "inputs: /left/image_raw/compressed, /right/image_raw/compressed (best effort until a loss, depth 5)",
+            "inputs: /left/image_raw/compressed, /right/image_raw/compressed (reliable as its publishers, depth 5)",
             "ready; publishing /calibration/image",
         ]

@@ -315,9 +315,10 @@ def test_parameters_of_the_replaced_nodes_are_accepted_and_named_in_one_line(nod
         patch.setattr(RcutilsLogger, "info", lambda self, text, **_: lines.append(text))
         with Graph(node_type, files=[path]) as graph:
             assert not graph.nodes[0].has_parameter("interpolation")
+            assert node_type is DisparityNode or graph.nodes[0].get_parameter("debayer").value == 3
             assert node_type is RectifyNode or graph.nodes[0].get_parameter("P2").value == 600.0
     (line,) = [line for line in lines if "without effect" in line]
-    assert "debayer (Bayer images are converted in one way); interpolation (rectification is bilinear)" in line
+    assert "interpolation (rectification is bilinear)" in line and "debayer" not in line
     assert "use_system_default_qos (qos_overrides set the QoS)" in line
     assert "left.image_rect.compressed.tiff.xdpi" in line and "left.image_rect.zstd.zstd_level (no image_t" in line
 

@@ -296,6 +296,18 @@ def test_images_wait_for_their_camera_infos(camera: StereoCamera) -> None:
         assert graph.counter("dropped without calibration") == 1
 
 
+def test_camera_infos_that_are_published_and_do_not_arrive_have_another_remedy(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        graph.listen("disparity", DisparityImage)
+        for topic, message in camera.infos(FIRST_NS).items():
+            graph.advertise(topic, type(message))
+        for number in range(6):
+            graph.send(camera.images(FIRST_NS + number))
+            wait_for_pairs(graph, number + 1)
+        error = graph.wait_error("images arrive, but no message on")
+        assert error.endswith("or give the driver more shared memory, as config/fastdds.xml does")
+
+
 def test_damaged_compressed_image(camera: StereoCamera) -> None:
     with Graph(StereoDepthNode, parameters={**SMALL, "image_transport": "compressed"}) as graph:
         graph.listen("disparity", DisparityImage)

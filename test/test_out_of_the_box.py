@@ -158,4 +158,6 @@ def test_every_frame_arrives(width: int, height: int, rate_hz: int, frames: int,
     said = "\n".join(f"{name}: {path.read_text()}" for name, path in logs.items())
     assert (camera.returncode, node.returncode) == (0, 0), said
     points = width * height
-    assert json.loads(arrived) == [[["disparity", 4 * points], ["points2", 32 * points]]] * frames, said
+    assert json.loads(arrived.splitlines()[-1]) == [[["disparity", 4 * points], ["points2", 32 * points]]] * frames, (
+        said
+    )

@@ -15,6 +15,7 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.topics import INFO_TYPE, StereoTopics
 from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.calibration_history import CalibrationHistory
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
@@ -22,7 +23,6 @@ from stereo_depth_ros.core.pairing import PairingCounts, StereoPairing
 from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.core.unpaired import Arrival, cause_of_duplicates, cause_of_loss, unset_stamps
-from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
 from stereo_depth_ros.messages.image import decode_pair, image_size

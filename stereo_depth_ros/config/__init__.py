@@ -12,6 +12,7 @@ from stereo_depth_ros.config.stages import (
     DepthConfig,
     PairingConfig,
     PipelineConfig,
+    RectificationConfig,
 )
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "PairingConfig",
     "ParameterInfo",
     "PipelineConfig",
+    "RectificationConfig",
     "parameter_infos",
     "replace_checked",
     "unknown_parameter",

@@ -16,7 +16,6 @@ _NO_RESIZING = "images are not resized or cropped"
 _REASONS: Mapping[str, str] = {
     "use_system_default_qos": "qos_overrides set the QoS",
     "interpolation": "rectification is bilinear",
-    "debayer": "Bayer images are converted in one way",
     **dict.fromkeys(("use_scale", "scale_width", "scale_height", "width", "height"), _NO_RESIZING),
     **dict.fromkeys(("decimation_x", "decimation_y", "offset_x", "offset_y"), _NO_RESIZING),
 }

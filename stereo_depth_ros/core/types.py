@@ -13,11 +13,13 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.core.camera_image import CameraImage
 from stereo_depth_ros.core.errors import ImageError
 
-__all__ = ["F32", "F64", "U8", "Frame", "MatchResult", "Reason", "RectifiedPair", "StereoPair"]
+__all__ = ["F32", "F64", "U8", "U16", "Frame", "MatchResult", "Reason", "RectifiedPair", "StereoPair"]
 
 U8: TypeAlias = npt.NDArray[np.uint8]
+U16: TypeAlias = npt.NDArray[np.uint16]
 F32: TypeAlias = npt.NDArray[np.float32]
 F64: TypeAlias = npt.NDArray[np.float64]
 
@@ -87,6 +89,8 @@ class Frame:
         encoding: "mono8", "rgb8" or "bgr8".
         gray: uint8 (H, W), gray of the camera where it does not come from the colors but from a mosaic or a luma plane;
             None otherwise.
+        camera: the image in the encoding of the camera where that has 16 bits, alpha or a mosaic, to be published; None
+            where it is ``pixels``.
 
     Raises:
         ImageError: another dtype, shape or encoding.
@@ -97,6 +101,7 @@ class Frame:
     frame_id: str
     encoding: str = "mono8"
     gray: U8 | None = None
+    camera: CameraImage | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", _checked(self.pixels, self.encoding, "pixels"))
@@ -119,11 +124,11 @@ class Frame:
         if not same or (self.gray is None) != (other.gray is None):
             return False
         same_gray = self.gray is None or other.gray is None or np.array_equal(self.gray, other.gray)
-        return same_gray and np.array_equal(self.pixels, other.pixels)
+        return same_gray and self.camera == other.camera and np.array_equal(self.pixels, other.pixels)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # copies are read-only too
-        return type(self), (self.pixels, self.stamp_ns, self.frame_id, self.encoding, self.gray)
+        return type(self), (self.pixels, self.stamp_ns, self.frame_id, self.encoding, self.gray, self.camera)
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -157,8 +162,10 @@ class RectifiedPair:
 
     Attributes:
         left, right: uint8 (H, W), gray, input of the matcher.
-        left_color: uint8 (H, W) or (H, W, 3), the rectified left image in its original encoding, colors of the cloud.
+        left_color: uint8 (H, W) or (H, W, 3), the rectified pixels of the left frame.
         color_encoding: encoding of ``left_color``: "mono8", "rgb8" or "bgr8".
+        left_16, right_16: uint16 (H, W), gray with all its bits where the camera has 16, of which ``left`` and
+            ``right`` are scaled; None otherwise.
 
     Raises:
         ImageError: another dtype, shape or encoding, or different sizes.
@@ -168,6 +175,8 @@ class RectifiedPair:
     right: U8
     left_color: U8
     color_encoding: str
+    left_16: U16 | None = None
+    right_16: U16 | None = None
 
     def __post_init__(self) -> None:
         is_gray = self.left_color is self.left
@@ -188,11 +197,20 @@ class RectifiedPair:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, RectifiedPair):
             return NotImplemented
-        same = all(np.array_equal(getattr(self, n), getattr(other, n)) for n in ("left", "right", "left_color"))
+        names = ("left", "right", "left_color", "left_16", "right_16")
+        same = all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
         return same and self.color_encoding == other.color_encoding
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.left, self.right, self.left_color, self.color_encoding)  # copies are read-only too
+        # copies are read-only too
+        return type(self), (
+            self.left,
+            self.right,
+            self.left_color,
+            self.color_encoding,
+            self.left_16,
+            self.right_16,
+        )
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -12,13 +12,13 @@ from typing import Protocol
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.sources import bag_files, is_bag
 from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import BagError, TopicError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.datasets.image_files import read_image
 from stereo_depth_ros.datasets.image_pairs import find_image_pairs
-from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.image import decode_pair
 

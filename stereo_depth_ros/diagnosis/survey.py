@@ -10,10 +10,10 @@ from typing import Any
 
 from stereo_depth_ros.bags.topics import StereoTopics
 from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.diagnosis.finding import Finding
-from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, without_stamp
 from stereo_depth_ros.messages.image import decode, decode_pair
 

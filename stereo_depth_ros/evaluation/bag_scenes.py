@@ -15,10 +15,10 @@ from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, 
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
-from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.disparity import matched_disparity
 from stereo_depth_ros.stages.rectification import Rectifier
@@ -47,7 +47,7 @@ class BagScenes:
         self._path = path
         self._types = RosbagsTypes()
         self._rectifiers = PerCalibration(self._types, lambda rig: (rig, Rectifier(rig)))
-        self._depth = BitDepth()
+        self._depth, self._rectified_depth = BitDepth(), BitDepth()
         with BagReader(path) as reader:
             if TRUTH_TOPIC not in reader.topics:
                 raise TopicError(
@@ -80,7 +80,7 @@ class BagScenes:
 
     def _load(self, pair: SerializedPair, image_type: str, truth: bytes) -> Scene:
         rig, rectifier = self._rectifiers.of(pair)
-        rectified = rectifier.rectify(pair.images(self._types, image_type, rig, self._depth))
+        rectified = rectifier.rectify(pair.images(self._types, image_type, rig, self._depth), self._rectified_depth)
         truth_px = matched_disparity(self._types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
         if truth_px.shape == rectified.left.shape:  # make_scene refuses other sizes
             truth_px[~rectifier.left_source] = np.nan

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Memory layout of the ROS image encodings, and conversion to mono8, rgb8 or bgr8."""
+"""Memory layout of the ROS image encodings, and conversion to mono8, rgb8 or bgr8 and to what image_proc publishes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stereo_depth_ros.core.camera_image import CameraImage
 from stereo_depth_ros.core.errors import ImageError, MessageError
 from stereo_depth_ros.core.types import U8
 
@@ -19,6 +20,7 @@ __all__ = [
     "StoredEncoding",
     "imdecode",
     "payload_dtype",
+    "to_camera_image",
     "to_decoded",
     "to_gray_of_camera",
     "without_alpha",
@@ -35,6 +37,7 @@ class StoredEncoding:
         sample_bytes: bytes per sample, 1 or 2.
         cvt_code: cv2.cvtColor code of the conversion of 8-bit samples to ``decoded``, None if none is needed.
         gray_code: cv2.cvtColor code of the conversion to gray, None where gray is computed from ``decoded``.
+        fine_cvt_code: cv2.cvtColor code of a better conversion of 8-bit samples than ``cvt_code``; None without one.
         multiple: (height, width) of the block with all colors; image sizes are multiples of it.
         smallest: minimum height and width.
         payload_rows: payload rows per two image rows; above 2 if a chroma plane follows the luma plane.
@@ -45,12 +48,13 @@ class StoredEncoding:
     sample_bytes: int = 1
     cvt_code: int | None = None
     gray_code: int | None = None
+    fine_cvt_code: int | None = None
     multiple: tuple[int, int] = (1, 1)
     smallest: int = 1
     payload_rows: int = 2
 
 
-def _bayer(codes: tuple[int, int], sample_bytes: int) -> StoredEncoding:
+def _bayer(codes: tuple[int, int, int], sample_bytes: int) -> StoredEncoding:
     # OpenCV interpolates from neighbors; an image without interior pixels would be black.
     return StoredEncoding("bgr8", 1, sample_bytes, *codes, smallest=3)
 
@@ -68,14 +72,14 @@ def _yuv420(cvt_code: int) -> StoredEncoding:
 #
 # Gray comes from the mosaic itself, as in cv_bridge: each pixel is rounded once, in half the time of gray from colors.
 # Over mosaics of eleven Middlebury pairs the pixels that are missing or wrong by more than 1 px went from 12.9 to
-# 12.3 % (sgm) and from 36.6 to 36.3 % (bm). Colors are bilinear, 0.1 ms for 640x480; edge-aware ones (_EA) are no
-# better. _VNG, the default of image_proc, has 3 dB less error for 25 times the time. Gray from it would give 11.7 %
-# (sgm) and 37.2 % (bm) for 4.6 ms a pair, and would not be the image_rect of image_proc.
+# 12.3 % (sgm) and from 36.6 to 36.3 % (bm). The pixels of a frame are bilinear, 0.1 ms for 640x480; the published
+# colors are _VNG, the default of image_proc, which OpenCV has for 8 bits: 3 dB less error for 25 times the time. Gray
+# from it would give 11.7 % (sgm) and 37.2 % (bm) for 4.6 ms a pair, and would not be the image_rect of image_proc.
 _BAYER_CODES = {
-    "bayer_rggb": (cv2.COLOR_BayerRGGB2BGR, cv2.COLOR_BayerRGGB2GRAY),
-    "bayer_bggr": (cv2.COLOR_BayerBGGR2BGR, cv2.COLOR_BayerBGGR2GRAY),
-    "bayer_gbrg": (cv2.COLOR_BayerGBRG2BGR, cv2.COLOR_BayerGBRG2GRAY),
-    "bayer_grbg": (cv2.COLOR_BayerGRBG2BGR, cv2.COLOR_BayerGRBG2GRAY),
+    "bayer_rggb": (cv2.COLOR_BayerRGGB2BGR, cv2.COLOR_BayerRGGB2GRAY, cv2.COLOR_BayerRGGB2BGR_VNG),
+    "bayer_bggr": (cv2.COLOR_BayerBGGR2BGR, cv2.COLOR_BayerBGGR2GRAY, cv2.COLOR_BayerBGGR2BGR_VNG),
+    "bayer_gbrg": (cv2.COLOR_BayerGBRG2BGR, cv2.COLOR_BayerGBRG2GRAY, cv2.COLOR_BayerGBRG2BGR_VNG),
+    "bayer_grbg": (cv2.COLOR_BayerGRBG2BGR, cv2.COLOR_BayerGRBG2GRAY, cv2.COLOR_BayerGRBG2BGR_VNG),
 }
 _UYVY = _yuv422(cv2.COLOR_YUV2BGR_UYVY, cv2.COLOR_YUV2GRAY_UYVY)
 _YUY2 = _yuv422(cv2.COLOR_YUV2BGR_YUY2, cv2.COLOR_YUV2GRAY_YUY2)
@@ -106,14 +110,18 @@ ENCODINGS: dict[str, StoredEncoding] = {
 
 
 # encoding: (little-endian dtype in the payload, channels)
-_WRITTEN = {"mono8": ("u1", 1), "rgb8": ("u1", 3), "bgr8": ("u1", 3), "16UC1": ("<u2", 1), "32FC1": ("<f4", 1)}
+_WRITTEN = {
+    **{"mono8": ("u1", 1), "rgb8": ("u1", 3), "bgr8": ("u1", 3), "rgba8": ("u1", 4), "bgra8": ("u1", 4)},
+    **{"mono16": ("<u2", 1), "rgb16": ("<u2", 3), "bgr16": ("<u2", 3), "rgba16": ("<u2", 4), "bgra16": ("<u2", 4)},
+    **{"16UC1": ("<u2", 1), "32FC1": ("<f4", 1)},
+}
 
 
 def payload_dtype(pixels: NDArray[Any], encoding: str) -> np.dtype[Any]:
     """The dtype of ``pixels`` of ``encoding`` in the payload of a written message, little-endian.
 
     Raises:
-        MessageError: not one of mono8, rgb8, bgr8, 16UC1, 32FC1.
+        MessageError: not mono, rgb, bgr, rgba or bgra of 8 or 16 bits, 16UC1 or 32FC1.
         ImageError: pixels of another type or shape than the encoding has.
     """
     if encoding not in _WRITTEN:
@@ -153,6 +161,30 @@ def to_decoded(pixels: U8, encoding: StoredEncoding) -> U8:
 def to_gray_of_camera(pixels: U8, encoding: StoredEncoding) -> U8 | None:
     """uint8 (H, W), gray of 8-bit samples of a mosaic or with a luma plane; None where gray is that of the colors."""
     return None if encoding.gray_code is None else np.asarray(cv2.cvtColor(pixels, encoding.gray_code), np.uint8)
+
+
+_COLOR_TO_GRAY = {
+    ("rgb8", 3): cv2.COLOR_RGB2GRAY,
+    ("bgr8", 3): cv2.COLOR_BGR2GRAY,
+    ("rgb8", 4): cv2.COLOR_RGBA2GRAY,
+    ("bgr8", 4): cv2.COLOR_BGRA2GRAY,
+}
+
+
+def to_camera_image(samples: NDArray[Any], encoding: StoredEncoding) -> CameraImage | None:
+    """The image as it is published, with its bits and alpha; None where that is :func:`to_decoded`.
+
+    Args:
+        samples: uint8 or native uint16, as stored.
+        encoding: of them.
+    """
+    channels = samples.shape[2] if samples.ndim == 3 else 1
+    has_16_bits, has_alpha = samples.dtype == np.uint16, channels == 4
+    if not has_16_bits and not has_alpha and encoding.fine_cvt_code is None:
+        return None
+    name = encoding.decoded.removesuffix("8") + "a" * has_alpha + ("16" if has_16_bits else "8")
+    gray_code = _COLOR_TO_GRAY.get((encoding.decoded, channels), encoding.gray_code)
+    return CameraImage(samples, name, gray_code, encoding.cvt_code, None if has_16_bits else encoding.fine_cvt_code)
 
 
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"

@@ -7,20 +7,22 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import ConfigError, MessageError
 from stereo_depth_ros.core.types import U8, Frame, StereoPair
-from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.encodings import (
     ENCODINGS,
     StoredEncoding,
     imdecode,
     payload_dtype,
+    to_camera_image,
     to_decoded,
     to_gray_of_camera,
     without_alpha,
@@ -71,7 +73,8 @@ def decode_image(msg: Any, *, topic: str = "") -> Frame:
     """The frame of a sensor_msgs/Image.
 
     Pixels are read-only. Unpadded mono8, rgb8 and bgr8 are a view on ``msg.data``, all others are copies: rgba8 becomes
-    rgb8, other color bgr8, 16 bit is scaled to 8 by the bit depth, see :class:`BitDepth`.
+    rgb8, other color bgr8, 16 bit is scaled to 8 by the bit depth, see :class:`BitDepth`. What the pixels have less
+    than the message is in ``camera``.
 
     Raises:
         MessageError: unknown encoding, zero or impossible size, ``step`` below a row, or a payload that is not
@@ -100,11 +103,16 @@ def has_16_bit(msg: Any) -> bool:
 
 @dataclass(frozen=True)
 class _Stored:
-    """An image before its samples are scaled: uint8 or native uint16, without alpha."""
+    """An image before its samples are scaled: uint8 or native uint16, as stored."""
 
     header: Any
-    samples: NDArray[Any]
+    stored: NDArray[Any]
     encoding: StoredEncoding
+
+    @cached_property
+    def samples(self) -> NDArray[Any]:
+        """Without alpha."""
+        return without_alpha(self.stored)
 
 
 def _decode_all(messages: Iterable[tuple[Any, str]], depth: BitDepth | None) -> list[Frame]:
@@ -141,7 +149,7 @@ def _read_image(msg: Any, topic: str) -> _Stored:
         samples = samples.reshape(rows, msg.width, encoding.samples)
     # Native contiguous layout, which the compiled kernels require.
     samples = np.require(samples, samples.dtype.newbyteorder("="), ["C", "A"])
-    return _Stored(msg.header, without_alpha(samples), encoding)
+    return _Stored(msg.header, samples, encoding)
 
 
 def _checked_encoding(msg: Any, topic: str) -> StoredEncoding:
@@ -209,7 +217,7 @@ def _read_compressed(msg: Any, topic: str) -> _Stored:
     stored = imdecode(content)
     if stored is None:
         raise _damaged(msg, content, topic)
-    return _Stored(msg.header, without_alpha(stored), _compressed_encoding(msg.format, stored.ndim))
+    return _Stored(msg.header, stored, _compressed_encoding(msg.format, stored.ndim))
 
 
 def _compressed_encoding(format: str, ndim: int) -> StoredEncoding:
@@ -276,7 +284,9 @@ def _frame(image: _Stored, depth: BitDepth) -> Frame:
     pixels, gray = to_decoded(samples, image.encoding), to_gray_of_camera(samples, image.encoding)
     # Views on a message must not be written to, live or offline.
     pixels.setflags(write=False)
-    return Frame(pixels, stamp_of(image.header), image.header.frame_id, image.encoding.decoded, gray)
+    image.stored.setflags(write=False)
+    camera = to_camera_image(image.stored, image.encoding)
+    return Frame(pixels, stamp_of(image.header), image.header.frame_id, image.encoding.decoded, gray, camera)
 
 
 def _subject(topic: str) -> str:
@@ -295,8 +305,9 @@ def image_message(
 
     Args:
         types: the family of messages.
-        pixels: (H, W) uint8 for mono8, uint16 for 16UC1, float32 for 32FC1; (H, W, 3) uint8 for rgb8 and bgr8.
-        encoding: one of these five.
+        pixels: (H, W) uint8 for mono8, uint16 for mono16 and 16UC1, float32 for 32FC1; (H, W, 3) uint8 for rgb8 and
+            bgr8, uint16 for rgb16 and bgr16; (H, W, 4) with alpha, for rgba8, bgra8, rgba16 and bgra16.
+        encoding: one of these.
         stamp_ns: header stamp, integer nanoseconds.
         frame_id: header frame.
         payload: a ``types.payload(pixels.nbytes)`` to reuse; not copied if ``pixels`` is a view of it.
@@ -358,7 +369,7 @@ def compressed_message(
         ImageError: pixels of another type or shape than the encoding has.
         ConfigError: quality out of range.
     """
-    if payload_dtype(pixels, encoding) != np.uint8:
+    if payload_dtype(pixels, encoding) != np.uint8 or pixels.shape[2:] == (4,):
         raise MessageError(
             f"encoding = {encoding!r} is not supported for compression",
             value=encoding,

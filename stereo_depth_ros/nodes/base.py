@@ -26,6 +26,7 @@ from stereo_depth_ros.nodes.input import OVERRIDABLE_POLICIES, Input
 from stereo_depth_ros.nodes.interface import NodeInterface, transported
 from stereo_depth_ros.nodes.message_types import RclpyTypes, message_class
 from stereo_depth_ros.nodes.parameters import NodeParameters, parameters_of_ros
+from stereo_depth_ros.nodes.sending import send
 
 __all__ = ["Output", "StereoNode", "log_compilation"]
 
@@ -60,7 +61,7 @@ class Output:
 
     def publish(self, message: Any) -> None:
         """Publish; the memory of the message may be reused afterwards."""
-        self._publisher.publish(message)
+        send(self._publisher, message)
 
 
 class StereoNode(Node):  # type: ignore[misc]

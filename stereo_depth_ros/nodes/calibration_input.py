@@ -25,6 +25,10 @@ __all__ = ["CalibrationInput", "info_contents"]
 
 _TOPICS = ("left/camera_info", "right/camera_info")
 _LONGEST_WAIT_S = 0.1  # of a pair for its camera infos, while the calibration changes
+_REMEDY_OF_LOST_INFOS = (
+    "their publishers send none, or they are lost in transit: latch them (transient local), or give the driver more "
+    "shared memory, as config/fastdds.xml does"
+)
 _LATE = "late camera infos"
 
 
@@ -121,12 +125,14 @@ class CalibrationInput:
             self._use(oldest)
             return
         self._node.diagnostics.counters["dropped without calibration"] += 1
-        missing = [topic for side, topic in enumerate(_TOPICS) if self._infos.last_ns(side) is None]
+        topics = map(self._node.resolve_topic_name, _TOPICS)
+        missing = [topic for side, topic in enumerate(topics) if self._infos.last_ns(side) is None]
+        published = all(map(self._node.count_publishers, missing))
         raise CalibrationError(
-            f"images arrive, but no message on {', '.join(map(self._node.resolve_topic_name, missing))}",
+            f"images arrive, but no message on {', '.join(missing)}",
             value=0,
             limit=1,
-            remedy="publish camera infos, or remap them",
+            remedy=_REMEDY_OF_LOST_INFOS if published else "publish camera infos, or remap them",
         )
 
     def _use(self, waiting: _Waiting) -> None:

@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
+from concurrent.futures import Future
+from typing import Any, NamedTuple
 
 from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import U8, MatchResult, StereoPair
 from stereo_depth_ros.messages.disparity import match_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
@@ -24,8 +26,28 @@ from stereo_depth_ros.stages.rectification import Rectifier
 __all__ = ["DisparityNode", "main"]
 
 
+class _Frame(NamedTuple):
+    """A pair of messages, and what was current when it arrived."""
+
+    left: Any
+    right: Any
+    rig: StereoRig
+    config: MatchingConfig
+    rectifier: Rectifier
+    stage: DisparityStage
+
+
+class _Decoded(NamedTuple):
+    """A frame, and its images in gray."""
+
+    frame: _Frame
+    pair: StereoPair
+    left: U8
+    right: U8
+
+
 class DisparityNode(StereoNode):
-    """The matcher is that of the parameter stereo_algorithm."""
+    """The matcher is that of the parameter stereo_algorithm. Pairs overlap as in stereo_depth_node."""
 
     interface = NodeInterface(
         "disparity_node",
@@ -44,22 +66,31 @@ class DisparityNode(StereoNode):
         self._first_pairs = FirstPairsWatch(self)
         self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("disparity")
+        self.overlap_frames(self._prepare, self._match, self._publish, lambda frame: frame.stage.at_once)
         self._pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
         self.add_input("left/image_rect", self._pairs.add_left)
         self.add_input("right/image_rect", self._pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
-        self._calibration.with_rig(lambda rig: self._match(left, right, rig), left, right)
+        self._calibration.with_rig(lambda rig: self._add(left, right, rig), left, right)
 
-    def _match(self, left: Any, right: Any, rig: StereoRig) -> None:
-        config = self.parameters.get(MatchingConfig)
-        pair = self._pairs.decode(left, right, rig)
-        left, right, rectifier = to_gray(pair.left), to_gray(pair.right), self._rectifier(rig)
+    def _add(self, left: Any, right: Any, rig: StereoRig) -> None:
+        config, rectifier = self.parameters.get(MatchingConfig), self._rectifier(rig)
+        self.add_frame(_Frame(left, right, rig, config, rectifier, self._stage(config, rectifier)))
+
+    def _prepare(self, frame: _Frame) -> _Decoded:
+        pair = self._pairs.decode(frame.left, frame.right, frame.rig)
+        return _Decoded(frame, pair, to_gray(pair.left), to_gray(pair.right))
+
+    def _match(self, decoded: _Decoded) -> tuple[_Decoded, MatchResult]:
+        with self.diagnostics.timed("match"):
+            return decoded, decoded.frame.stage.match(decoded.left, decoded.right)
+
+    def _publish(self, future: Future[tuple[_Decoded, MatchResult]]) -> None:
         with self._first_pairs.refusing():
-            with self.diagnostics.timed("match"):
-                match = self._stage(config, rectifier).match(left, right)
-            self._first_pairs.look(rig, rectifier.shown, pair, left, right, match)
-        self._output.publish(match_message(self.types, self._pool, match, config, rig, pair.left))
+            (frame, pair, left, right), match = future.result()
+            self._first_pairs.look(frame.rig, frame.rectifier.shown, pair, left, right, match)
+        self._output.publish(match_message(self.types, self._pool, match, frame.config, frame.rig, pair.left))
 
 
 def main() -> int:

@@ -32,11 +32,10 @@ OVERRIDABLE_POLICIES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKin
 class Input:
     """A subscription that follows the demand of its node and the publishers of its topic.
 
-    It is best effort, which all publishers match and which is 1 to 2 ms faster for an image of 640x480, until DDS
-    reports a lost message; from then on it is reliable while every publisher is. A topic of repeated messages, a camera
-    info, stays best effort, and is reliable and transient local where every publisher latches it: on a reliable
-    subscription the repetitions wait for one that was lost, up to a second where images fill the transport of a driver.
-    The parameters qos_overrides.<topic>.subscription.<policy> win.
+    It is reliable while every publisher is, and best effort where one is not. A topic of repeated messages, a camera
+    info, is best effort, and reliable and transient local where every publisher latches it: on a reliable subscription
+    the repetitions wait for one that was lost, up to a second where images fill the transport of a driver. The
+    parameters qos_overrides.<topic>.subscription.<policy> win.
 
     Args:
         node: subscribes.
@@ -72,9 +71,11 @@ class Input:
         self._repeated = repeated
         self._on_change = on_change
         self._received, self._received_before = 0, 0  # now, and when it was looked at last
-        self._has_lost = False
         self._subscription: Subscription | None = None
-        self._offer = (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)  # of the subscription
+        # Of the subscription; a reliable publisher that starts later has its first message received, a best-effort one
+        # is followed after it.
+        first = ReliabilityPolicy.BEST_EFFORT if repeated else ReliabilityPolicy.RELIABLE
+        self._offer = (first, DurabilityPolicy.VOLATILE)
         self._former: Subscription | None = None  # until the one that replaces it is connected
         self._sent_at: deque[int] = deque(maxlen=2 * depth)  # of the last messages, by the clock of their publisher
         self._may_repeat = 0  # messages that both subscriptions may have received, at most
@@ -107,7 +108,8 @@ class Input:
     def qos_text(self) -> str:
         """Reliability and depth, as the user may have overridden them."""
         overrides = self._overrides()
-        reliability = str(overrides.get("reliability", "best effort until a loss")).replace("_", " ")
+        following = "best effort unless latched" if self._repeated else "reliable as its publishers"
+        reliability = str(overrides.get("reliability", following)).replace("_", " ")
         return f"{reliability}, depth {overrides.get('depth', self._depth)}"
 
     def subscribe(self) -> None:
@@ -166,7 +168,7 @@ class Input:
             return self._offer
         reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
         latched = self._repeated and all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-        reliable = reliable and (latched or (self._has_lost and not self._repeated))
+        reliable = reliable and (latched or not self._repeated)
         return (
             ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
             DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
@@ -243,15 +245,11 @@ class Input:
 
     def _on_lost(self, event: Any) -> None:
         self._diagnostics.counters[f"lost {self.topic}"] += event.total_count_change
-        self._has_lost = True
-        self._on_change()
 
     def _cause_of_loss(self) -> str:
         topic = self.resolved_topic
         if self._offer[0] == ReliabilityPolicy.RELIABLE:
-            return (
-                f"{topic}: reliable from now on; if losses go on, lower its rate, or raise queue_size ({self._depth})"
-            )
+            return f"{topic} is reliable, and its publisher keeps too few images: lower its rate, or raise its depth"
         return (
             f"{topic} is best effort, and what finds no room in transit is gone: publish it reliably, or give its "
             "publisher more shared memory, as config/fastdds.xml does"

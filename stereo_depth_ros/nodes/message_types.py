@@ -19,14 +19,15 @@ from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.nodes.sending import Payload
 
 __all__ = ["RclpyTypes", "message_class"]
 
 
 def _keeping_data(kind: Any, *, data: Any, **fields: Any) -> Any:
-    """A message that holds ``data`` itself: rclpy's constructor copies it, its setter with check_fields does not."""
-    message = kind(check_fields=True, **fields)
-    message.data = data
+    """A message that holds ``data`` itself: rclpy's constructor and its setter would copy it."""
+    message = kind(**fields)
+    message._data = data
     return message
 
 
@@ -52,8 +53,8 @@ class RclpyTypes:
 
     def payload(self, nbytes: int) -> tuple[Any, U8]:
         """A zeroed uint8[] field and a writable uint8 (nbytes,) view on the same memory."""
-        data = array.array("B", bytes(nbytes))
-        return data, np.frombuffer(data, np.uint8)
+        data = Payload.allocate(nbytes)
+        return data, np.asarray(data)
 
     def float64s(self, values: F64) -> Any:
         """A float64[] field."""

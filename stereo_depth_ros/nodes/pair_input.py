@@ -10,11 +10,11 @@ from collections.abc import Callable
 from typing import Any
 
 from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import Frame, StereoPair
 from stereo_depth_ros.core.unpaired import Arrival, cause_of_duplicates, cause_of_loss, unset_stamps
-from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.image import decode, decode_pair, image_size
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode

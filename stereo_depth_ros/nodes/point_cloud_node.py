@@ -7,9 +7,9 @@ from __future__ import annotations
 from typing import Any
 
 from stereo_depth_ros.config import CloudConfig, PairingConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.disparity import published_disparity, published_triangulation
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.messages.point_cloud import cloud_message
@@ -48,6 +48,7 @@ class PointCloudNode(StereoNode):
         self._calibration = CalibrationInput(self, rectified=True)
         self._output = self.add_output("points2")
         self._depth = BitDepth()
+        self.on_idle.append(self._depth.restart)
         self._pairs = PairInput(self, "disparity", _COLOR, self._on_pair)
         self.add_input("disparity", self._receive)
         self._images = self.add_input(_COLOR, self._receive_image, lambda: self._config.use_color, _COLOR_DEPTH)

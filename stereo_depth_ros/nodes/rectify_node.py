@@ -8,33 +8,40 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.core.images import to_gray
+from numpy.typing import NDArray
+
+from stereo_depth_ros.config import PairingConfig, RectificationConfig
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import Frame
-from stereo_depth_ros.messages.image import has_16_bit, image_message
+from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
-from stereo_depth_ros.nodes.pair_input import PairInput, decode_side
+from stereo_depth_ros.nodes.pair_input import decode_from, decode_side
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.stages.rectification import Rectifier
+from stereo_depth_ros.stages.rectification import Rectifier, gray_of_camera
 
 __all__ = ["RectifyNode", "main"]
 
+_GRAY, _COLOR = "image_rect", "image_rect_color"
+_RAW_GRAY, _RAW_COLOR = "image_mono", "image_color"
+
 
 class RectifyNode(StereoNode):
-    """Each camera is rectified by itself, without waiting for the other one; 16-bit images need it for their scale."""
+    """Each camera is rectified by itself, without waiting for the other one; bits and alpha are kept.
+
+    Gray and color are published before rectification too, as image_mono and image_color, without a calibration.
+    """
 
     interface = NodeInterface(
         "rectify_node",
-        configs=(PairingConfig,),
+        configs=(PairingConfig, RectificationConfig),
         inputs=CAMERA_INFOS | RAW_IMAGES,
         outputs={
             f"{side}/{name}": "sensor_msgs/msg/Image"
             for side in ("left", "right")
-            for name in ("image_rect", "image_rect_color")
+            for name in (_GRAY, _COLOR, _RAW_GRAY, _RAW_COLOR)
         },
     )
 
@@ -44,48 +51,60 @@ class RectifyNode(StereoNode):
         self._pool = PayloadPool(self.types)
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._calibration = CalibrationInput(self)
-        self._pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
-        self._sides = {
-            "left": self._add_side("left", self._pairs.add_left),
-            "right": self._add_side("right", self._pairs.add_right),
-        }
+        self._images = {topic: self.add_output(topic) for topic in self.interface.outputs}
+        for side in ("left", "right"):
+            self.add_input(f"{side}/image_raw", functools.partial(self._receive, side))
 
-    def _add_side(self, side: str, add: Callable[[Any], None]) -> tuple[Any, Any]:
-        def receive(message: Any) -> None:
-            if has_16_bit(message):
-                add(message)
-            else:
-                self._calibration.with_rig(lambda rig: self._rectify_side(side, message, rig), message)
+    def _receive(self, side: str, message: Any) -> None:
+        if self._wanted(side, _RAW_GRAY, _RAW_COLOR):
+            frame = decode_from(self, f"{side}/image_raw", message)
+            self._publish(side, frame, _RAW_GRAY, _RAW_COLOR, lambda pixels, _: pixels)
+        if self._wanted(side, _GRAY, _COLOR):
+            self._calibration.with_rig(lambda rig: self._rectify(side, message, rig), message)
 
-        self.add_input(f"{side}/image_raw", receive)
-        return self.add_output(f"{side}/image_rect"), self.add_output(f"{side}/image_rect_color")
+    def _wanted(self, side: str, *names: str) -> bool:
+        return any(self._images[f"{side}/{name}"].wanted for name in names)
 
-    def _on_pair(self, left: Any, right: Any) -> None:
-        self._calibration.with_rig(lambda rig: self._rectify_pair(left, right, rig), left, right)
-
-    def _rectify_pair(self, left: Any, right: Any, rig: StereoRig) -> None:
-        pair = self._pairs.decode(left, right, rig)
-        self._rectify("left", pair.left, rig)
-        self._rectify("right", pair.right, rig)
-
-    def _rectify_side(self, side: str, message: Any, rig: StereoRig) -> None:
-        self._rectify(side, decode_side(self, side, f"{side}/image_raw", message, rig), rig)
-
-    def _rectify(self, side: str, frame: Frame, rig: StereoRig) -> None:
-        gray_output, color_output = self._sides[side]
+    def _rectify(self, side: str, message: Any, rig: StereoRig) -> None:
+        frame = decode_side(self, side, f"{side}/image_raw", message, rig)
         rectifier = self._rectifier(rig)
         rectify = rectifier.rectify_left if side == "left" else rectifier.rectify_right
         with self.diagnostics.timed(f"rectify {side}"):
-            for output, pixels, encoding in (
-                (gray_output, to_gray(frame) if gray_output.wanted else None, "mono8"),
-                (color_output, frame.pixels if color_output.wanted else None, frame.encoding),
-            ):
-                if pixels is not None:
-                    payload = self._pool.get(f"{side} {encoding}", pixels.nbytes)
-                    rectified = rectify(pixels, payload[1].reshape(pixels.shape))
-                    output.publish(
-                        image_message(self.types, rectified, encoding, frame.stamp_ns, frame.frame_id, payload)
-                    )
+            self._publish(side, frame, _GRAY, _COLOR, rectify)
+
+    def _publish(
+        self,
+        side: str,
+        frame: Frame,
+        gray: str,
+        color: str,
+        convert: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]],
+    ) -> None:
+        """Publish what is wanted of both, converted into a buffer of the same shape."""
+        if self._wanted(side, gray):
+            pixels = gray_of_camera(frame)
+            self._send(f"{side}/{gray}", pixels, "mono8" if pixels.itemsize == 1 else "mono16", frame, convert)
+        if self._wanted(side, color):
+            pixels, encoding = self._color(frame)
+            self._send(f"{side}/{color}", pixels, encoding, frame, convert)
+
+    def _color(self, frame: Frame) -> tuple[NDArray[Any], str]:
+        if frame.camera is None:
+            return frame.pixels, frame.encoding
+        return frame.camera.color(self.parameters.get(RectificationConfig).debayer), frame.camera.encoding
+
+    def _send(
+        self,
+        topic: str,
+        pixels: NDArray[Any],
+        encoding: str,
+        frame: Frame,
+        convert: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]],
+    ) -> None:
+        payload = self._pool.get(topic, pixels.nbytes)
+        converted = convert(pixels, payload[1].view(pixels.dtype).reshape(pixels.shape))
+        message = image_message(self.types, converted, encoding, frame.stamp_ns, frame.frame_id, payload)
+        self._images[topic].publish(message)
 
 
 def main() -> int:

@@ -8,7 +8,15 @@ import time
 from concurrent.futures import Future
 from typing import Any, NamedTuple
 
-from stereo_depth_ros.config import CloudConfig, DepthConfig, MatchingConfig, PairingConfig, PipelineConfig
+from stereo_depth_ros.config import (
+    CloudConfig,
+    DepthConfig,
+    MatchingConfig,
+    PairingConfig,
+    PipelineConfig,
+    RectificationConfig,
+)
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
@@ -39,7 +47,7 @@ class StereoDepthNode(StereoNode):
 
     interface = NodeInterface(
         "stereo_depth_node",
-        configs=(PairingConfig, MatchingConfig, DepthConfig, CloudConfig),
+        configs=(PairingConfig, MatchingConfig, DepthConfig, CloudConfig, RectificationConfig),
         inputs=CAMERA_INFOS | RAW_IMAGES,
         outputs={row.topic: row.msgtype for row in OUTPUTS},
     )
@@ -51,6 +59,8 @@ class StereoDepthNode(StereoNode):
         self._pipeline: StereoPipeline | None = None
         self._first_pairs = FirstPairsWatch(self)
         self._messages = ResultMessages(self.types)
+        self._depth = BitDepth()
+        self.on_idle += [self._depth.restart, self._messages.restart]
         self._calibration = CalibrationInput(self)
         self._results = [(self.add_output(row.topic), row.topic, row.build) for row in OUTPUTS]
         self.overlap_frames(self._prepare, self._match, self._publish, lambda frame: frame.pipeline.at_once)
@@ -91,14 +101,16 @@ class StereoDepthNode(StereoNode):
         """Rebuilt when the rig changes; for a changed parameter only its stage is rebuilt."""
         config = self._config()
         if self._pipeline is None or self._pipeline.rig is not rig:
-            self._pipeline = StereoPipeline(config, rig)
+            self._pipeline = StereoPipeline(config, rig, self._depth)
         elif self._pipeline.config != config:
             self._pipeline = self._pipeline.with_config(config)
         return self._pipeline
 
     def _config(self) -> PipelineConfig:
         get = self.parameters.get
-        return PipelineConfig(get(PairingConfig), get(MatchingConfig), get(DepthConfig), get(CloudConfig))
+        return PipelineConfig(
+            get(PairingConfig), get(MatchingConfig), get(DepthConfig), get(CloudConfig), get(RectificationConfig)
+        )
 
 
 def main() -> int:

@@ -16,11 +16,11 @@ from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import BagError, CameraOrderError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
 from stereo_depth_ros.evaluation.bag_score import score_disparity
-from stereo_depth_ros.messages.bit_depth import BitDepth
 from stereo_depth_ros.messages.cdr import stamp_text
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
@@ -130,7 +130,7 @@ class _Engine:
         self._messages = ResultMessages(self._types)
         self._config = config
         self._pipelines = PerCalibration(self._types, self._build)
-        self._depth = BitDepth()
+        self._depth, self._rectified_depth = BitDepth(), BitDepth()
         self._first: FirstPairs | None = None
         self.rig: StereoRig | None = None
         self.fault: StereoDepthError | None = None
@@ -156,7 +156,7 @@ class _Engine:
 
     def _build(self, rig: StereoRig) -> StereoPipeline:
         self.finish()
-        pipeline = StereoPipeline(self._config, rig)
+        pipeline = StereoPipeline(self._config, rig, self._rectified_depth)
         self._first = FirstPairs(rig, pipeline.shown)
         return pipeline
 

@@ -5,18 +5,28 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import Rig
-from stereo_depth_ros.core.types import U8, RectifiedPair, StereoPair
+from stereo_depth_ros.core.types import U8, U16, Frame, RectifiedPair, StereoPair
 
-__all__ = ["Rectifier"]
+__all__ = ["Rectifier", "gray_of_camera"]
+
+AnyPixels = TypeVar("AnyPixels", bound=npt.NDArray[Any])
+
+
+def gray_of_camera(frame: Frame) -> U8 | U16:
+    """The gray that is rectified, (H, W): uint16 where the camera sent 16 bits, else uint8."""
+    if frame.camera is not None and frame.camera.samples.dtype == np.uint16:
+        return frame.camera.gray()
+    return to_gray(frame)
 
 
 class Rectifier:
@@ -34,29 +44,34 @@ class Rectifier:
         self._left_maps = _build_maps(rig.left)
         self._right_maps = _build_maps(rig.right)
 
-    def rectify(self, pair: StereoPair) -> RectifiedPair:
+    def rectify(self, pair: StereoPair, depth: BitDepth | None = None) -> RectifiedPair:
         """Both images in gray, and the left one in color.
 
-        Conversion to gray precedes rectification, so the gray images equal those of a rectifier of gray input.
+        Conversion to gray precedes rectification, so the gray images equal those of a rectifier of gray input. Scaling
+        to 8 bits follows it, so they equal the rectified images of 16 bits that another node receives.
 
         Args:
             pair: raw images of the size of the rig.
+            depth: of the rectified 16-bit images of the stream, grows with the pair; None is that of this pair alone.
 
         Raises:
             CalibrationError: an image has another size than the rig.
         """
-        left = self.rectify_left(to_gray(pair.left))
-        right = self.rectify_right(to_gray(pair.right))
+        depth = depth or BitDepth()
+        grays = self.rectify_left(gray_of_camera(pair.left)), self.rectify_right(gray_of_camera(pair.right))
+        depth.include(*grays)
+        left, right = (depth.to_8_bit(gray) for gray in grays)
+        left_16, right_16 = (np.asarray(gray, np.uint16) if gray.dtype == np.uint16 else None for gray in grays)
         left_color = left
         if pair.left.encoding != "mono8":
             left_color = self.rectify_left(pair.left.pixels)
-        return RectifiedPair(left, right, left_color, pair.left.encoding)
+        return RectifiedPair(left, right, left_color, pair.left.encoding, left_16, right_16)
 
-    def rectify_left(self, pixels: U8, out: U8 | None = None) -> U8:
+    def rectify_left(self, pixels: AnyPixels, out: AnyPixels | None = None) -> AnyPixels:
         """The rectified left image.
 
         Args:
-            pixels: uint8 (H, W) or (H, W, C), raw.
+            pixels: uint8 or uint16 (H, W) or (H, W, C), raw.
             out: same shape, written if the image needs rectification; not ``pixels`` itself.
 
         Raises:
@@ -64,7 +79,7 @@ class Rectifier:
         """
         return self._remap(pixels, self._left_maps, out, self.rig.topics[0])
 
-    def rectify_right(self, pixels: U8, out: U8 | None = None) -> U8:
+    def rectify_right(self, pixels: AnyPixels, out: AnyPixels | None = None) -> AnyPixels:
         """The rectified right image; as :meth:`rectify_left`."""
         return self._remap(pixels, self._right_maps, out, self.rig.topics[1])
 
@@ -100,12 +115,12 @@ class Rectifier:
     def _white(self) -> U8:
         return np.full((self.rig.height, self.rig.width), 255, np.uint8)
 
-    def _remap(self, pixels: U8, maps: tuple[Any, Any] | None, out: U8 | None, topic: str) -> U8:
+    def _remap(self, pixels: AnyPixels, maps: tuple[Any, Any] | None, out: AnyPixels | None, topic: str) -> AnyPixels:
         height, width = pixels.shape[:2]
         self.rig.check_image(width, height, topic)
         if maps is None:
             return pixels
-        remapped: U8 = cv2.remap(pixels, *maps, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_CONSTANT)
+        remapped: AnyPixels = cv2.remap(pixels, *maps, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_CONSTANT)
         return remapped
 
 

@@ -33,6 +33,10 @@ class BitDepth:
     def __init__(self) -> None:
         self.bits = 0
 
+    def restart(self) -> None:
+        """Forget the images so far: another stream begins."""
+        self.bits = 0
+
     def include(self, *images: NDArray[Any]) -> None:
         """Grow to hold the samples, uint16 of any shape; uint8 ones are ignored."""
         for samples in images:
