@@ -91,12 +91,12 @@ class Harness:
         self._types = RosbagsTypes()
         self._rig = sequence.rig
         self._pair = sequence[0].pair
-        self._node = rclpy.create_node("benchmark")
+        self.node = rclpy.create_node("benchmark")
         self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
         qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
         self._publishers = {
-            topic: self._node.create_publisher(kind, topic, qos)
+            topic: self.node.create_publisher(kind, topic, qos)
             for topic, kind in (
                 ("left/camera_info", CameraInfo),
                 ("right/camera_info", CameraInfo),
@@ -106,7 +106,7 @@ class Harness:
         }
         self.received = {"points2": 0, "disparity": 0}
         for topic, kind in (("points2", PointCloud2), ("disparity", DisparityImage)):
-            self._node.create_subscription(kind, topic, self._receiver(topic), qos, raw=not typed)
+            self.node.create_subscription(kind, topic, self._receiver(topic), qos, raw=not typed)
         self._stamp_ns = 1_000_000_000
 
     def _receiver(self, topic: str) -> Callable[[object], None]:
@@ -157,7 +157,7 @@ class Harness:
 
     def close(self) -> None:
         self._executor.shutdown()
-        self._node.destroy_node()
+        self.node.destroy_node()
 
 
 def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[], float]:

@@ -1,10 +1,12 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark of the matchers computes its tables correctly, and sgm has the required accuracy relative to OpenCV."""
+"""The benchmarks compute their tables correctly, and sgm has the required accuracy relative to OpenCV."""
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,7 +16,8 @@ import pytest
 
 from stereo_depth_ros.config import MatchingConfig
 
-PROGRAM = Path(__file__).resolve().parents[1] / "benchmarks" / "matching.py"
+PROGRAMS = Path(__file__).resolve().parents[1] / "benchmarks"
+PROGRAM = PROGRAMS / "matching.py"
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +70,46 @@ def test_sgm_compared_with_sgbm(benchmark: ModuleType, stereo_data: Path) -> Non
     assert len(scenes) == 12
     everything = benchmark.requirements(benchmark.accuracy(scenes, rounds=1))[0]
     assert everything["misses"] == "nothing", everything
+
+
+@pytest.fixture
+def injection(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The program, which sets variables for its processes."""
+    pytest.importorskip("rclpy", reason="the faults are those of a graph")
+    monkeypatch.setattr(os, "environ", {**os.environ, "STEREO_DEPTH_MALLOPT": "0"})
+    monkeypatch.syspath_prepend(PROGRAMS)
+    return importlib.import_module("fault_injection")
+
+
+def test_values_that_may_have_been_in_use(injection: ModuleType) -> None:
+    history = injection.History("a")
+    history.change("b", requested=10.0, answered=12.0)
+    history.change("c", requested=20.0, answered=21.0)
+    assert history.current == "c"
+    assert history.between(5.0, 9.0) == ["a"]
+    assert history.between(9.0, 11.0) == ["b", "a"]
+    assert history.between(13.0, 14.0) == ["b"]
+    assert history.between(11.0, 30.0) == ["c", "b", "a"]
+
+
+def test_faults_come_all_and_in_changing_order(injection: ModuleType) -> None:
+    names = list(injection.faults(injection.random.Random(1), 14))
+    assert names[0] == "start"
+    assert set(names[1:8]) == set(names[8:]) == set(injection.FAULTS) - {"start"}
+    assert names[1:8] != names[8:]
+
+
+def test_output_is_that_of_its_own_pair_only(injection: ModuleType) -> None:
+    """Another frame, encoding, calibration or parameter gives other bytes, and garbage between fields is ignored."""
+    offline, base = injection.Offline(), injection.BASE
+    stamp_ns = 5_000_001_000  # of the first source and frame
+    right = offline.message("points2", stamp_ns, base)
+    others = [offline.message("points2", stamp_ns + key, base) for key in (1, injection.FRAMES, 3 * injection.FRAMES)]
+    changed = injection.dataclasses.replace(base.matching, uniqueness_ratio=60.0)
+    others.append(offline.message("points2", stamp_ns, injection.dataclasses.replace(base, matching=changed)))
+    contents = {message[12:] for message in (right, *others)}  # after the stamp
+    assert len(contents) == 5
+    disparity = offline.message("disparity", stamp_ns, base)
+    padding = disparity.index(b"frame\0") + len(b"frame\0")
+    assert disparity[padding : padding + 2] == bytes(2)
+    assert offline.zero_padded("disparity", disparity[:padding] + b"xx" + disparity[padding + 2 :]) == disparity

@@ -61,6 +61,39 @@ def test_a_repeated_round_changes_again_where_it_changed_before() -> None:
     assert [left_at(made, stamp_ns) for stamp_ns in (100, 199, 200)] == ["A", "A", "B"]
 
 
+@pytest.mark.parametrize(
+    "order",
+    [(0, 1, 2, 3, 4, 5), (0, 1, 2, 3, 5, 4), (0, 1, 3, 2, 5, 4), (1, 0, 3, 5, 4, 2), (1, 3, 5, 4, 2, 0)],
+)
+def test_infos_of_two_cameras_on_one_topic_apply_to_their_own_stamps(order: tuple[int, ...]) -> None:
+    """However they overtake each other on the way."""
+    infos = [(10, "A"), (15, "B"), (20, "A"), (25, "B"), (30, "A"), (35, "B")]
+    made = history(*(infos[index] for index in order))
+    assert [left_at(made, stamp_ns) for stamp_ns, _ in infos] == ["A", "B"] * 3
+
+
+def test_an_info_may_still_come_between_those_of_another_calibration() -> None:
+    made = history((10, "A"), (20, "A"), (30, "B"), (40, "B"), right=((40, "r"),))
+    assert [made.lacks((stamp_ns, 40)) for stamp_ns in (10, 15, 20, 25, 30, 35, 40, 45)] == [False] * 3 + [
+        True,
+        False,
+        False,
+        False,
+        True,
+    ]
+    assert not made.add(0, 25, "A", "A")
+    made.add(0, 40, "B", "B")
+    assert not made.lacks((25, 40))
+
+
+def test_a_clock_set_back_by_less_than_a_second_changes_with_each_info() -> None:
+    made = history((1000 * MS, "A"), (1100 * MS, "A"), (800 * MS, "B"))
+    assert left_at(made, 850 * MS) == "B"
+    for stamp_ns in range(900 * MS, 1500 * MS, 100 * MS):
+        made.add(0, stamp_ns, "B", "B")
+        assert left_at(made, stamp_ns) == "B"
+
+
 def test_what_is_known_and_what_may_still_come() -> None:
     made: CalibrationHistory[str] = CalibrationHistory()
     assert (made.is_known, made.last_ns(0)) == (False, None)

@@ -121,6 +121,12 @@ def test_heartbeat_travels_in_the_message_of_its_piece() -> None:
     assert sum(pieces) < 512  # the queue of a subscriber without a profile
 
 
+def test_port_of_a_killed_process_counts_as_broken_soon() -> None:
+    """Its successor has the same port, and receives nothing before; 1 s is the default of Fast DDS."""
+    elements = {item.tag.split("}")[1]: item.text for item in ElementTree.parse(profile_path()).iter()}
+    assert int(elements.get("healthy_check_timeout_ms") or 1000) <= 1000
+
+
 @pytest.mark.parametrize("site", ["lib/python3.12/site-packages", "local/lib/python3.12/dist-packages", "."])
 def test_profile_is_found_in_the_prefix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, site: str) -> None:
     package = tmp_path / site / "stereo_depth_ros"

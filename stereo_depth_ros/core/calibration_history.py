@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -55,40 +54,78 @@ class CalibrationHistory(Generic[T]):
         return left, right
 
     def lacks(self, stamps_ns: tuple[int, int]) -> bool:
-        """Whether a camera info of these stamps may still come."""
-        pairs = zip(self._sides, stamps_ns, strict=True)
-        return any(side.last_ns is None or side.last_ns < stamp_ns for side, stamp_ns in pairs)
+        """Whether a camera info of these stamps may still come: later than the last one, or between different ones."""
+        return any(side.lacks(stamp_ns) for side, stamp_ns in zip(self._sides, stamps_ns, strict=True))
 
     def is_changing(self, stamps_ns: tuple[int, int]) -> bool:
         """Whether a calibration has changed less than a second before these stamps, or after them."""
         return any(side.changed_since(min(stamps_ns) - _SETTLE_NS) for side in self._sides)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Change(Generic[T]):
-    stamp_ns: int
+    """Equal camera infos, one after the other."""
+
+    first_ns: int
+    last_ns: int
     contents: Hashable
     info: T
 
 
 class _Side(Generic[T]):
-    """Camera infos of one camera that differ from the one before."""
+    """Camera infos of one camera that differ from the one before, by stamp."""
 
     def __init__(self) -> None:
-        self._changes: deque[_Change[T]] = deque(maxlen=_MOST_CHANGES)
+        self._changes: list[_Change[T]] = []
         self.last_ns: int | None = None
 
     def add(self, stamp_ns: int, contents: Hashable, info: T) -> bool:
         self.last_ns = stamp_ns
-        if self._changes and self.at(stamp_ns).contents == contents:
-            return False
-        while self._changes and self._changes[-1].stamp_ns >= stamp_ns:
-            self._changes.pop()  # of another clock, or without a stamp of its own
-        self._changes.append(_Change(stamp_ns, contents, info))
+        if self._changes:
+            applied = self.at(stamp_ns)
+            if applied.contents == contents:
+                applied.last_ns = max(applied.last_ns, stamp_ns)
+                return False
+            if self._changes[-1].last_ns - stamp_ns > _SETTLE_NS:
+                self._forget_after(stamp_ns)
+        self._insert(_Change(stamp_ns, stamp_ns, contents, info))
+        del self._changes[:-_MOST_CHANGES]
         return True
 
     def at(self, stamp_ns: int) -> _Change[T]:
-        return next((change for change in reversed(self._changes) if change.stamp_ns <= stamp_ns), self._changes[-1])
+        return self._changes[self._begun(stamp_ns) - 1]
+
+    def lacks(self, stamp_ns: int) -> bool:
+        if self.last_ns is None or self.last_ns < stamp_ns:
+            return True
+        begun = self._begun(stamp_ns)
+        # Of two cameras on one topic, the camera infos of one may come sooner
+        return 0 < begun < len(self._changes) and self._changes[begun - 1].last_ns < stamp_ns
 
     def changed_since(self, stamp_ns: int) -> bool:
-        return len(self._changes) > 1 and self._changes[-1].stamp_ns > stamp_ns
+        return len(self._changes) > 1 and self._changes[-1].first_ns > stamp_ns
+
+    def _begun(self, stamp_ns: int) -> int:
+        """How many begin at this stamp or before it."""
+        later = (at for at in range(len(self._changes), 0, -1) if self._changes[at - 1].first_ns <= stamp_ns)
+        return next(later, 0)
+
+    def _forget_after(self, stamp_ns: int) -> None:
+        """What is of another clock."""
+        del self._changes[self._begun(stamp_ns) :]
+        if self._changes:
+            self._changes[-1].last_ns = min(self._changes[-1].last_ns, stamp_ns)
+
+    def _insert(self, change: _Change[T]) -> None:
+        """A camera info of one stamp, where others apply before and after it."""
+        stamp_ns, begun = change.first_ns, self._begun(change.first_ns)
+        changes = [change]
+        if begun:
+            before = self._changes[begun - 1]
+            if before.last_ns > stamp_ns:
+                changes.append(_Change(stamp_ns + 1, before.last_ns, before.contents, before.info))
+            before.last_ns = min(before.last_ns, stamp_ns - 1)
+            if before.last_ns < before.first_ns:
+                begun -= 1
+                del self._changes[begun]
+        self._changes[begun:begun] = changes
