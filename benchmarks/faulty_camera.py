@@ -132,7 +132,7 @@ class Camera:
             for kind, name, qos in ((CameraInfo, "camera_info", infos), (Image, "image_raw", images))
             for side in ("left", "right")
         ]
-        self._source, self._rate_hz, self._clock_ns = options.source, options.rate, 0
+        self._source, self._rate_hz, self._clock_ns = options.source, options.rate, int(1e9 * options.clock)
 
     def obey(self) -> None:
         """Take commands until stdin ends; then end."""
@@ -163,6 +163,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--source", type=int, default=0)
     parser.add_argument("--rate", type=float, default=10.0)
+    parser.add_argument("--clock", type=float, default=0.0, help="ahead of the monotonic clock, seconds")
     parser.add_argument("--depth", type=int, default=10)
     parser.add_argument("--best-effort", action="store_true")
     parser.add_argument("--latched", action="store_true")
