@@ -25,7 +25,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.camera_info import camera_info_message
-from stereo_depth_ros.messages.types import make_header
+from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.nodes.message_types import RclpyTypes
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
@@ -100,18 +100,9 @@ def _image(types: RclpyTypes, gray: Any, encoding: str, frame_id: str) -> Any:
     elif encoding == "mono16":
         pixels = gray.astype(np.uint16) * 257
         pixels[0, 0] = 65535  # a bit depth of 16 from the first one on
-    data, view = types.payload(pixels.nbytes)
-    view[:] = np.ascontiguousarray(pixels).view(np.uint8).ravel()
-    height, width = gray.shape
-    return types.Image(
-        header=make_header(types, 0, frame_id),
-        height=height,
-        width=width,
-        encoding=encoding,
-        is_bigendian=0,
-        step=pixels.nbytes // height,
-        data=data,
-    )
+    message = image_message(types, pixels, "mono8" if encoding.startswith("bayer") else encoding, 0, frame_id)
+    message.encoding = encoding
+    return message
 
 
 class Camera:

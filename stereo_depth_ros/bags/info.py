@@ -15,7 +15,7 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import CalibrationError, MessageError, StereoDepthError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.unpaired import stamp_offset_ns, taken_together, unset_stamps
+from stereo_depth_ros.core.unpaired import Arrival, stamp_offset_ns, taken_together, unset_stamps
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.image import decode
 
@@ -172,23 +172,22 @@ class _Inspection:
         if stereo is None:
             return 0, 0
         try:
-            stamps = self._stamps(stereo)
+            arrivals = self._arrivals(stereo)
         except MessageError as error:
             self.problems.append(error)
             return 0, 0
         near = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=tolerance_s)
-        exact_pairs, near_pairs = _count_pairs(stamps, PairingConfig()), _count_pairs(stamps, near)
-        arrivals = [(0 if is_left else 1, stamp_ns) for is_left, stamp_ns in stamps]
+        exact_pairs, near_pairs = _count_pairs(arrivals, PairingConfig()), _count_pairs(arrivals, near)
         if unset := unset_stamps(arrivals, (stereo.left_image, stereo.right_image)):
             self.problems.append(unset)
         elif not exact_pairs:
-            self.problems.append(_no_pairs(stereo, near_pairs, tolerance_s, stamps))
+            self.problems.append(_no_pairs(stereo, near_pairs, tolerance_s, arrivals))
         return exact_pairs, near_pairs
 
-    def _stamps(self, stereo: StereoTopics) -> list[tuple[bool, int]]:
-        """(is left, header stamp) of every image, in the order of the bag."""
+    def _arrivals(self, stereo: StereoTopics) -> list[Arrival]:
+        """Side and header stamp of every image, in the order of the bag."""
         messages = self._reader.messages([stereo.left_image, stereo.right_image])
-        return [(message.topic == stereo.left_image, cdr_stamp_ns(message.data)) for message in messages]
+        return [(int(message.topic != stereo.left_image), cdr_stamp_ns(message.data)) for message in messages]
 
     def _first(self, topic: str | None) -> Any:
         if topic is None:
@@ -204,17 +203,15 @@ class _Inspection:
             return None
 
 
-def _count_pairs(stamps: Iterable[tuple[bool, int]], config: PairingConfig) -> int:
+def _count_pairs(arrivals: Iterable[Arrival], config: PairingConfig) -> int:
     pairing: StereoPairing[None] = StereoPairing(config)
-    for is_left, stamp_ns in stamps:
-        (pairing.add_left if is_left else pairing.add_right)(stamp_ns, None)
+    for side, stamp_ns in arrivals:
+        (pairing.add_left, pairing.add_right)[side](stamp_ns, None)
     pairing.flush()
     return pairing.counts.paired
 
 
-def _no_pairs(
-    stereo: StereoTopics, near_pairs: int, tolerance_s: float, stamps: Sequence[tuple[bool, int]]
-) -> TopicError:
+def _no_pairs(stereo: StereoTopics, near_pairs: int, tolerance_s: float, arrivals: Sequence[Arrival]) -> TopicError:
     sides = f"no image of {stereo.left_image} has the stamp of one of {stereo.right_image}"
     if near_pairs:
         return TopicError(
@@ -225,7 +222,7 @@ def _no_pairs(
             settings=("approximate_sync", "approximate_sync_tolerance_seconds"),
         )
     remedy = "synchronize the cameras and record again"
-    left, right = ([stamp for is_left, stamp in stamps if is_left == wanted] for wanted in (True, False))
+    left, right = ([stamp_ns for arrived, stamp_ns in arrivals if arrived == side] for side in (0, 1))
     if offset_ns := stamp_offset_ns(left, right):
         remedy += f"; {taken_together(offset_ns)}"
     return TopicError(f"{sides}, and none is within {tolerance_s:g} s", value=0, limit=tolerance_s, remedy=remedy)

@@ -305,20 +305,22 @@ class _CalibratedPairs:
         if any(cdr_stamp_ns(info) <= (self._history.last_ns(side) or 0) for side in sides):
             yield from self.flush()  # where stamps do not tell, it applies from here on
         self._add(topic, info)
-        while self._waiting and not self._history.lacks(_stamps_ns(self._waiting[0])):
-            yield self._calibrated(self._waiting.popleft())
+        yield from self._release()
 
     def add_pair(self, left: bytes, right: bytes) -> Iterator[SerializedPair]:
         """Add both images of a pair; the pairs that need not wait."""
         self._waiting.append((left, right))
-        while len(self._waiting) > self._queue_size or (
-            self._waiting and not self._history.lacks(_stamps_ns(self._waiting[0]))
-        ):
-            yield self._calibrated(self._waiting.popleft())
+        yield from self._release()
 
     def flush(self) -> Iterator[SerializedPair]:
         """The pairs that wait."""
         while self._waiting:
+            yield self._calibrated(self._waiting.popleft())
+
+    def _release(self) -> Iterator[SerializedPair]:
+        while self._waiting and (
+            len(self._waiting) > self._queue_size or not self._history.lacks(_stamps_ns(self._waiting[0]))
+        ):
             yield self._calibrated(self._waiting.popleft())
 
     def _add(self, topic: str, info: bytes) -> None:

@@ -10,7 +10,9 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Generic, TypeVar
 
-__all__ = ["Overlap"]
+__all__ = ["BESIDE_WORK", "Overlap"]
+
+BESIDE_WORK = 2  # frames under way besides those worked on: one is prepared, one is delivered
 
 Frame = TypeVar("Frame")
 Prepared = TypeVar("Prepared")
@@ -81,8 +83,7 @@ class Overlap(Generic[Frame, Prepared, Result]):
             Whether there was one. The caller should call again: another frame may have come, and waits for it.
         """
         with self._changed:
-            # One more is prepared, and one more is delivered.
-            if not self._waiting or self._begun - self._delivered > self._at_once(self._waiting[0]) + 1:
+            if not self._waiting or self._begun - self._delivered >= self._at_once(self._waiting[0]) + BESIDE_WORK:
                 return False
             frame, turn = self._waiting.popleft(), self._begun
             self._begun += 1

@@ -38,7 +38,6 @@ __all__ = [
     "decode_compressed",
     "decode_image",
     "decode_pair",
-    "has_16_bit",
     "image_message",
     "image_size",
 ]
@@ -91,14 +90,6 @@ def image_size(msg: Any, topic: str = "") -> tuple[int, int]:
         return msg.width, msg.height
     header = _checked_header(msg, bytes(msg.data), topic)
     return header.width, header.height
-
-
-def has_16_bit(msg: Any) -> bool:
-    """Whether the samples of an image have a bit depth; false where it cannot be decoded."""
-    if hasattr(msg, "encoding"):
-        return msg.encoding in ENCODINGS and ENCODINGS[msg.encoding].sample_bytes == 2
-    header = read_header(bytes(msg.data))
-    return header is not None and header.bits > 8
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,8 @@
 
 import sys
 
-if sys.argv[:1] == [
-    "-m"
-]:  # `python -m stereo_depth_ros.nodes.NODE`, which imports its package before it knows the file
+# `python -m stereo_depth_ros.nodes.NODE` imports this package before it knows the file of the node.
+if sys.argv[:1] == ["-m"]:
     from stereo_depth_ros.nodes.start import end_at_once
 
     end_at_once()

@@ -153,13 +153,13 @@ class StereoNode(Node):  # type: ignore[misc]
 
         self.frames = Overlap(prepare, work, deliver, at_once)
         self.on_idle.append(self.frames.drop_waiting)
-        self.diagnostics.watch_loss(_TOO_LATE, lambda: self.diagnostics.counters[_TOO_LATE], _cause_of_too_late)
+        self.diagnostics.watch_loss(_TOO_LATE, _cause_of_too_late)
 
     def add_frame(self, frame: Any) -> None:
         """Begin with a frame, now or when the ones before it are far enough; the oldest is dropped if many wait."""
-        if self.frames is not None:
-            limit = self.parameters.get(PairingConfig).queue_size
-            self.diagnostics.counters[_TOO_LATE] += self.frames.add(frame, limit)
+        assert self.frames is not None  # overlap_frames comes first
+        limit = self.parameters.get(PairingConfig).queue_size
+        self.diagnostics.counters[_TOO_LATE] += self.frames.add(frame, limit)
 
     def refuse_equal_topics(self, left: str, right: str) -> None:
         """Raise TopicError where both cameras were remapped to the same topic."""

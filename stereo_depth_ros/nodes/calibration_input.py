@@ -62,7 +62,7 @@ class CalibrationInput:
         for side, topic in enumerate(_TOPICS):
             node.add_input(topic, functools.partial(self._receive, side))
         node.on_idle.append(self._forget)
-        node.diagnostics.watch_loss(_LATE, lambda: node.diagnostics.counters[_LATE], self._cause_of_late_infos)
+        node.diagnostics.watch_loss(_LATE, self._cause_of_late_infos)
 
     def with_rig(self, use: Callable[[StereoRig], None], left: Any, right: Any = None) -> None:
         """Call ``use`` with the rig of a pair, now or as soon as it is known; in the order of the calls.

@@ -70,9 +70,15 @@ class NodeDiagnostics:
         if line:
             self._node.get_logger().error(line)
 
-    def watch_loss(self, name: str, count: Callable[[], int], cause: Callable[[], str]) -> None:
-        """While ``count`` grows the level is WARN, and its growth is logged with the likely cause and the remedy."""
-        self._losses[name] = count, cause
+    def watch_loss(self, name: str, cause: Callable[[], str], count: Callable[[], int] | None = None) -> None:
+        """While a count grows the level is WARN, and its growth is logged with the likely cause and the remedy.
+
+        Args:
+            name: of what is counted.
+            cause: the cause and the remedy.
+            count: the count; None is the counter of that name.
+        """
+        self._losses[name] = count or (lambda: self.counters[name]), cause
 
     def watch_state(self, text: Callable[[], str]) -> None:
         """While ``text`` is not empty the level is WARN; it is logged when it appears."""

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -82,11 +81,8 @@ class Input:
         self._number: int | None = None  # that DDS has given to the newest message
         self._missed = 0  # numbers that did not arrive
         if not repeated:
-            for name, cause in (
-                (f"lost {topic}", self._cause_of_loss),
-                (f"replaced {topic}", self._cause_of_replacement),
-            ):
-                diagnostics.watch_loss(name, functools.partial(diagnostics.counters.__getitem__, name), cause)
+            diagnostics.watch_loss(f"lost {topic}", self._cause_of_loss)
+            diagnostics.watch_loss(f"replaced {topic}", self._cause_of_replacement)
             diagnostics.watch_state(self._mixture)
 
     @property

@@ -19,7 +19,7 @@ from stereo_depth_ros.messages.image import decode, decode_pair, image_size
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 
-__all__ = ["PairInput", "decode_from", "decode_side"]
+__all__ = ["PairInput", "check_side", "decode_from"]
 
 _DUPLICATES = "duplicate stamps"
 
@@ -46,8 +46,8 @@ class PairInput:
         # Of each side; at a start one is connected before the other, and its first messages have no partner.
         self._unpaired_at_start, self._excused = [0, 0], [0, 0]
         for side, topic in enumerate(self._topics):
-            node.diagnostics.watch_loss(f"unpaired {topic}", functools.partial(self._lost, side), self._cause_of_loss)
-        node.diagnostics.watch_loss(_DUPLICATES, self._duplicates, lambda: str(cause_of_duplicates(self._names())))
+            node.diagnostics.watch_loss(f"unpaired {topic}", self._cause_of_loss, functools.partial(self._lost, side))
+        node.diagnostics.watch_loss(_DUPLICATES, lambda: str(cause_of_duplicates(self._names())), self._duplicates)
         self._depth = BitDepth()
         node.on_idle.append(self._restart)
 
@@ -160,7 +160,6 @@ def decode_from(node: StereoNode, topic: str, message: Any, depth: BitDepth | No
     return decode(message, node.resolve_topic_name(topic), depth)
 
 
-def decode_side(node: StereoNode, side: str, topic: str, message: Any, rig: StereoRig) -> Frame:
-    """The frame of a camera ("left" or "right"); CalibrationError where the camera infos differ."""
+def check_side(node: StereoNode, side: str, topic: str, message: Any, rig: StereoRig) -> None:
+    """Raise CalibrationError where the camera info of a camera ("left" or "right") does not fit its message."""
     _check(rig, side, message, node.resolve_topic_name(topic))
-    return decode_from(node, topic, message)

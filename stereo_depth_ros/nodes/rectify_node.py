@@ -18,7 +18,7 @@ from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
-from stereo_depth_ros.nodes.pair_input import decode_from, decode_side
+from stereo_depth_ros.nodes.pair_input import check_side, decode_from
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.rectification import Rectifier, gray_of_camera
 
@@ -56,17 +56,18 @@ class RectifyNode(StereoNode):
             self.add_input(f"{side}/image_raw", functools.partial(self._receive, side))
 
     def _receive(self, side: str, message: Any) -> None:
+        decode = functools.cache(lambda: decode_from(self, f"{side}/image_raw", message))  # once for all outputs
         if self._wanted(side, _RAW_GRAY, _RAW_COLOR):
-            frame = decode_from(self, f"{side}/image_raw", message)
-            self._publish(side, frame, _RAW_GRAY, _RAW_COLOR, lambda pixels, _: pixels)
+            self._publish(side, decode(), _RAW_GRAY, _RAW_COLOR, lambda pixels, _: pixels)
         if self._wanted(side, _GRAY, _COLOR):
-            self._calibration.with_rig(lambda rig: self._rectify(side, message, rig), message)
+            self._calibration.with_rig(lambda rig: self._rectify(side, message, decode, rig), message)
 
     def _wanted(self, side: str, *names: str) -> bool:
         return any(self._images[f"{side}/{name}"].wanted for name in names)
 
-    def _rectify(self, side: str, message: Any, rig: StereoRig) -> None:
-        frame = decode_side(self, side, f"{side}/image_raw", message, rig)
+    def _rectify(self, side: str, message: Any, decode: Callable[[], Frame], rig: StereoRig) -> None:
+        check_side(self, side, f"{side}/image_raw", message, rig)
+        frame = decode()
         rectifier = self._rectifier(rig)
         rectify = rectifier.rectify_left if side == "left" else rectifier.rectify_right
         with self.diagnostics.timed(f"rectify {side}"):

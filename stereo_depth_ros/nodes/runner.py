@@ -20,6 +20,7 @@ from rclpy.logging import get_logger
 from stereo_depth_ros.core.errors import StereoDepthError
 from stereo_depth_ros.core.interrupts import handled_signals
 from stereo_depth_ros.core.kernels import compile_kernels
+from stereo_depth_ros.core.overlap import BESIDE_WORK
 from stereo_depth_ros.nodes.base import StereoNode, log_compilation
 from stereo_depth_ros.nodes.command_line import answer_help, start_ros
 from stereo_depth_ros.nodes.interface import COMMON_OUTPUTS
@@ -79,7 +80,7 @@ def _run(node_type: type[StereoNode], interrupts: list[int]) -> int:
             executor.spin()
         else:
             node.frames.begin_overlap()
-            spin_overlapped(executor, node.frames.run_one, threads=LARGEST_AT_ONCE + 3)
+            spin_overlapped(executor, node.frames.run_one, threads=LARGEST_AT_ONCE + BESIDE_WORK + 1)
     except StereoDepthError as error:
         get_logger("stereo_depth_ros").fatal(error_text(error))
         return 1
