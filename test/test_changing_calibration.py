@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from graph_harness import NS_PER_S, Graph, StereoCamera
+from sensor_msgs.msg import Image
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
@@ -110,6 +111,22 @@ def test_a_pair_waits_for_changed_infos_no_longer_than_a_moment(camera: StereoCa
         play(graph, camera, [(LEFT_INFO, 0, A), (RIGHT_INFO, 0, A), (LEFT_INFO, 1, B), (LEFT, 1, B), (RIGHT, 1, B)])
         graph.wait(lambda: received, "disparity though the right camera info of its stamp never comes")
         assert baselines_m(received) == [round(camera.rig.baseline_m, 4)]
+
+
+def test_a_pair_of_two_cameras_is_published_with_infos_of_its_own_stamp_or_not_at_all(camera: StereoCamera) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        received = graph.listen("disparity", DisparityImage)
+        of_a = [(topic, frame, A) for frame in (0, 1) for topic in (LEFT_INFO, RIGHT_INFO, LEFT, RIGHT)]
+        play(graph, camera, of_a)
+        graph.wait(lambda: len(received) == 2, "disparities of one camera")
+        other = graph._node.create_publisher(Image, LEFT, 10)
+        graph.wait(lambda: other.get_subscription_count() == 1, "connection of a second camera")
+        play(graph, camera, [(LEFT, 2, B), (RIGHT, 2, B)])  # its camera infos are not received yet
+        graph.wait(lambda: graph.counter("dropped without calibration") == 1, "the pair to be dropped")
+        play(graph, camera, [(topic, 3, B) for topic in (LEFT, RIGHT, LEFT_INFO, RIGHT_INFO)])
+        graph.wait(lambda: len(received) == 3, "disparity of the second camera")
+        assert baselines_m(received) == [round(scale * camera.rig.baseline_m, 4) for scale in (A, A, B)]
+        assert graph.errors("several cameras publish the same topics, and a pair without camera infos")
 
 
 def test_changed_infos_that_come_after_their_pair_are_said(camera: StereoCamera) -> None:

@@ -100,7 +100,29 @@ def test_latched_camera_infos_of_before_arrive(camera: StereoCamera) -> None:
         received = graph.listen("disparity", DisparityImage)
         graph.send(camera.images(FIRST_NS))
         graph.wait(lambda: received, "disparity with camera infos published before the node subscribed")
-        assert input_qos(graph, LEFT_INFO) == [("RELIABLE", "TRANSIENT_LOCAL")]
+        assert sorted(input_qos(graph, LEFT_INFO)) == [("BEST_EFFORT", "VOLATILE"), ("RELIABLE", "TRANSIENT_LOCAL")]
+        for topic in (LEFT_INFO, RIGHT_INFO):
+            graph.withdraw(topic)
+            graph.advertise(topic, CameraInfo)
+        graph.wait(
+            lambda: input_qos(graph, LEFT_INFO) == [("BEST_EFFORT", "VOLATILE")],
+            "end of the latched one",
+        )
+
+
+def test_infos_that_are_not_latched_arrive_beside_latched_ones(camera: StereoCamera) -> None:
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        graph.listen("disparity", DisparityImage)
+        for topic, message in camera.infos(FIRST_NS).items():
+            graph.advertise(topic, CameraInfo, qos=latched).publish(message)
+        graph.wait(lambda: len(input_qos(graph, LEFT_INFO)) == 2, "transient local subscription")
+        other = graph._node.create_publisher(CameraInfo, LEFT_INFO, 1)
+        graph.wait(lambda: other.get_subscription_count() == 1, "connection of a publisher that does not latch")
+        left_info = next(item for item in graph.nodes[0]._inputs if item.topic == LEFT_INFO)
+        received = left_info._received
+        other.publish(camera.infos(FIRST_NS)[LEFT_INFO])
+        graph.wait(lambda: left_info._received == received + 1, "its camera info")
 
 
 def test_messages_replaced_in_the_queue_of_a_busy_node_are_counted(camera: StereoCamera) -> None:

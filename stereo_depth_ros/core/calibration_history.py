@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -13,6 +14,7 @@ __all__ = ["CalibrationHistory"]
 T = TypeVar("T")
 _MOST_CHANGES = 100  # of one camera; a lens that zooms changes with every image
 _SETTLE_NS = 10**9
+_KEPT_STAMPS = 200
 
 
 class CalibrationHistory(Generic[T]):
@@ -57,6 +59,10 @@ class CalibrationHistory(Generic[T]):
         """Whether a camera info of these stamps may still come: later than the last one, or between different ones."""
         return any(side.lacks(stamp_ns) for side, stamp_ns in zip(self._sides, stamps_ns, strict=True))
 
+    def has_own(self, stamps_ns: tuple[int, int]) -> bool:
+        """Whether camera infos of exactly these stamps were added; true too for a camera whose infos have no stamps."""
+        return all(side.has_own(stamp_ns) for side, stamp_ns in zip(self._sides, stamps_ns, strict=True))
+
     def is_changing(self, stamps_ns: tuple[int, int]) -> bool:
         """Whether a calibration has changed less than a second before these stamps, or after them."""
         return any(side.changed_since(min(stamps_ns) - _SETTLE_NS) for side in self._sides)
@@ -78,9 +84,12 @@ class _Side(Generic[T]):
     def __init__(self) -> None:
         self._changes: list[_Change[T]] = []
         self.last_ns: int | None = None
+        self._stamps_ns: deque[int] = deque(maxlen=_KEPT_STAMPS)  # different ones, in the order of arrival
 
     def add(self, stamp_ns: int, contents: Hashable, info: T) -> bool:
         self.last_ns = stamp_ns
+        if stamp_ns not in self._stamps_ns:
+            self._stamps_ns.append(stamp_ns)
         if self._changes:
             applied = self.at(stamp_ns)
             if applied.contents == contents:
@@ -101,6 +110,9 @@ class _Side(Generic[T]):
         begun = self._begun(stamp_ns)
         # Of two cameras on one topic, the camera infos of one may come sooner
         return 0 < begun < len(self._changes) and self._changes[begun - 1].last_ns < stamp_ns
+
+    def has_own(self, stamp_ns: int) -> bool:
+        return stamp_ns in self._stamps_ns or len(self._stamps_ns) == 1
 
     def changed_since(self, stamp_ns: int) -> bool:
         return len(self._changes) > 1 and self._changes[-1].first_ns > stamp_ns

@@ -161,6 +161,11 @@ class StereoNode(Node):  # type: ignore[misc]
         limit = self.parameters.get(PairingConfig).queue_size
         self.diagnostics.counters[_TOO_LATE] += self.frames.add(frame, limit)
 
+    @property
+    def has_mixed_inputs(self) -> bool:
+        """Whether several publishers are connected to one input, such as two cameras to one topic."""
+        return any(item.publisher_count > 1 for item in self._inputs)
+
     def refuse_equal_topics(self, left: str, right: str) -> None:
         """Raise TopicError where both cameras were remapped to the same topic."""
         resolved = self.resolve_topic_name(left)

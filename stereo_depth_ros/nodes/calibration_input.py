@@ -42,7 +42,9 @@ class CalibrationInput:
     """Builds the rig of the camera infos that apply to a pair, see :class:`CalibrationHistory`.
 
     A pair waits until both cameras have a camera info. After that it waits only while the calibration is changing, for
-    the camera infos of its stamps, a tenth of a second at most: otherwise those known apply at once.
+    the camera infos of its stamps, a tenth of a second at most: otherwise those known apply at once. While several
+    cameras publish one topic, a pair waits for the camera infos of its own stamps, and is dropped without them: no
+    other ones tell which of the cameras it is of.
 
     Args:
         node: subscribes left/camera_info and right/camera_info.
@@ -112,17 +114,33 @@ class CalibrationInput:
             self._timer.reset()
 
     def _must_wait(self, stamps_ns: tuple[int, int]) -> bool:
+        if self._is_of_unknown_camera(stamps_ns):
+            return True
         return self._infos.lacks(stamps_ns) and self._infos.is_changing(stamps_ns)
+
+    def _is_of_unknown_camera(self, stamps_ns: tuple[int, int]) -> bool:
+        return self._node.has_mixed_inputs and not self._infos.has_own(stamps_ns)
 
     def _end_waiting(self) -> None:
         self._timer.cancel()
         while self._waiting:
-            self._use(self._waiting.popleft())
+            self._use_or_drop(self._waiting.popleft())
+
+    def _use_or_drop(self, waiting: _Waiting) -> None:
+        if not self._is_of_unknown_camera(waiting.stamps_ns):
+            self._use(waiting)
+            return
+        topics = " or ".join(map(self._node.resolve_topic_name, _TOPICS))
+        self._node.diagnostics.report_error(
+            "dropped without calibration",
+            "several cameras publish the same topics, and a pair without camera infos of its own stamps was dropped, "
+            f"because those on {topics} may be of another camera: stop or remap one of the cameras",
+        )
 
     def _release_oldest(self) -> None:
         oldest = self._waiting.popleft()
         if self._infos.is_known:
-            self._use(oldest)
+            self._use_or_drop(oldest)
             return
         self._node.diagnostics.counters["dropped without calibration"] += 1
         topics = map(self._node.resolve_topic_name, _TOPICS)

@@ -32,9 +32,10 @@ class Input:
     """A subscription that follows the demand of its node and the publishers of its topic.
 
     It is reliable while every publisher is, and best effort where one is not. A topic of repeated messages, a camera
-    info, is best effort, and reliable and transient local where every publisher latches it: on a reliable subscription
-    the repetitions wait for one that was lost, up to a second where images fill the transport of a driver. The
-    parameters qos_overrides.<topic>.subscription.<policy> win.
+    info, is best effort: on a reliable subscription the repetitions wait for one that was lost, up to a second where
+    images fill the transport of a driver. Where a publisher latches it, a transient local subscription receives what
+    was published before; it is a second one, because it receives nothing from those that do not latch, and what both
+    receive is handed on twice. The parameters qos_overrides.<topic>.subscription.<policy> win.
 
     Args:
         node: subscribes.
@@ -44,7 +45,7 @@ class Input:
         callback: called with every message.
         wanted: whether the node needs this input.
         depth: messages kept until the callback takes them.
-        repeated: whether the messages repeat one content, which may be latched instead.
+        repeated: whether the messages repeat one content, which may be latched instead; one may be received twice.
         on_change: called when a publisher appears or goes away, some time before the graph shows it.
     """
 
@@ -73,9 +74,9 @@ class Input:
         self._subscription: Subscription | None = None
         # Of the subscription; a reliable publisher that starts later has its first message received, a best-effort one
         # is followed after it.
-        first = ReliabilityPolicy.BEST_EFFORT if repeated else ReliabilityPolicy.RELIABLE
-        self._offer = (first, DurabilityPolicy.VOLATILE)
+        self._reliability = ReliabilityPolicy.BEST_EFFORT if repeated else ReliabilityPolicy.RELIABLE
         self._former: Subscription | None = None  # until the one that replaces it is connected
+        self._latched: Subscription | None = None
         self._sent_at: deque[int] = deque(maxlen=2 * depth)  # of the last messages, by the clock of their publisher
         self._may_repeat = 0  # messages that both subscriptions may have received, at most
         self._number: int | None = None  # that DDS has given to the newest message
@@ -94,6 +95,11 @@ class Input:
     def subscribed(self) -> bool:
         """Whether it is subscribed."""
         return self._subscription is not None
+
+    @property
+    def publisher_count(self) -> int:
+        """Publishers that are connected now."""
+        return 0 if self._subscription is None else int(self._subscription.get_publisher_count())
 
     @property
     def settled(self) -> bool:
@@ -115,13 +121,15 @@ class Input:
             rclpy's errors for an override that is not a policy.
         """
         self._received_before = -1  # not silent before a whole interval has passed
-        self._offer = self._publishers_offer()
-        self._subscription = self._create(self._offer)
+        reliability, is_latched = self._publishers_offer()
+        self._reliability = reliability
+        self._subscription = self._create(reliability)
+        self._follow_latching(is_latched)
 
     def take_waiting(self) -> None:
         """Call the callback with the messages that wait in the subscription, before the executor does."""
-        for subscription in (self._former, self._subscription):
-            while subscription is not None:
+        for subscription in self._subscriptions():
+            while True:
                 with subscription.handle:
                     taken = subscription.handle.take_message(self._message_type, False)
                 if taken is None:
@@ -135,10 +143,9 @@ class Input:
 
     def unsubscribe(self) -> None:
         """Unsubscribe."""
-        for subscription in (self._former, self._subscription):
-            if subscription is not None:
-                self._node.destroy_subscription(subscription)
-        self._former = self._subscription = None
+        for subscription in self._subscriptions():
+            self._node.destroy_subscription(subscription)
+        self._former = self._subscription = self._latched = None
         self._may_repeat = 0
         self._number = None
         self._sent_at.clear()
@@ -152,26 +159,36 @@ class Input:
                 self._node.destroy_subscription(self._former)
                 self._former, self._may_repeat = None, 2 * self._depth
             return
-        offer = self._publishers_offer()
-        if offer != self._offer:
-            self._offer, self._former = offer, self._subscription
-            self._subscription = self._create(offer)
+        reliability, is_latched = self._publishers_offer()
+        self._follow_latching(is_latched)
+        if reliability != self._reliability:
+            self._reliability, self._former = reliability, self._subscription
+            self._subscription = self._create(reliability)
 
-    def _publishers_offer(self) -> tuple[ReliabilityPolicy, DurabilityPolicy]:
-        """The best QoS that all publishers offer; that of the subscription while there is none."""
+    def _subscriptions(self) -> list[Subscription]:
+        return [found for found in (self._former, self._subscription, self._latched) if found is not None]
+
+    def _publishers_offer(self) -> tuple[ReliabilityPolicy, bool]:
+        """The reliability to request, which all publishers offer, and whether one latches what is repeated.
+
+        Those of now while there is no publisher.
+        """
         profiles = [info.qos_profile for info in self._node.get_publishers_info_by_topic(self.resolved_topic)]
+        if self._repeated:
+            known = any(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
+            return ReliabilityPolicy.BEST_EFFORT, known if profiles else self._latched is not None
         if not profiles:
-            return self._offer
+            return self._reliability, False
         reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
-        latched = self._repeated and all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-        reliable = reliable and (latched or not self._repeated)
-        return (
-            ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
+        return ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT, False
 
-    def _profile(self, offer: tuple[ReliabilityPolicy, DurabilityPolicy]) -> QoSProfile:
-        return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=self._depth, reliability=offer[0], durability=offer[1])
+    def _follow_latching(self, is_latched: bool) -> None:
+        """Subscribe to what publishers latch, and end it; the user's durability is enough where there is one."""
+        if is_latched and self._latched is None and "durability" not in self._overrides():
+            self._latched = self._create(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+        elif not is_latched and self._latched is not None:
+            self._node.destroy_subscription(self._latched)
+            self._latched = None
 
     def _overrides(self) -> dict[str, Any]:
         """The values that the user has set, by name of the policy."""
@@ -180,14 +197,18 @@ class Input:
         names = [kind.name.lower() for kind in OVERRIDABLE_POLICIES]
         return {name: found[prefix + name].value for name in names if prefix + name in found}
 
-    def _create(self, offer: tuple[ReliabilityPolicy, DurabilityPolicy]) -> Subscription:
+    def _create(
+        self, reliability: ReliabilityPolicy, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
+    ) -> Subscription:
         # Only what the user has set: rclpy keeps the first value of a policy, and ours may change.
         overridden = [kind for kind in OVERRIDABLE_POLICIES if kind.name.lower() in self._overrides()]
         return self._node.create_subscription(
             self._message_type,
             self.topic,
             self._receive,
-            self._profile(offer),
+            QoSProfile(
+                history=HistoryPolicy.KEEP_LAST, depth=self._depth, reliability=reliability, durability=durability
+            ),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=self._on_incompatible,
                 matched=self._on_matched,
@@ -212,8 +233,7 @@ class Input:
 
         DDS numbers the messages of a publisher without gaps; not every middleware tells the number.
         """
-        publishers = 0 if self._subscription is None else self._subscription.get_publisher_count()
-        if self._repeated or number is None or publishers != 1:
+        if self._repeated or number is None or self.publisher_count != 1:
             self._number = None
             return
         if self._number is not None:
@@ -244,7 +264,7 @@ class Input:
 
     def _cause_of_loss(self) -> str:
         topic = self.resolved_topic
-        if self._offer[0] == ReliabilityPolicy.RELIABLE:
+        if self._reliability == ReliabilityPolicy.RELIABLE:
             return f"{topic} is reliable, and its publisher keeps too few images: lower its rate, or raise its depth"
         return (
             f"{topic} is best effort, and what finds no room in transit is gone: publish it reliably, or give its "
