@@ -158,15 +158,11 @@ class Offline:
         self._results: dict[Any, StereoResult] = {}
 
     def message(self, topic: str, stamp_ns: int, config: PipelineConfig) -> bytes:
-        """The serialized output of the pair of this stamp, padded by zeros."""
+        """The serialized output of the pair of this stamp."""
         result = self._result(stamp_ns, config)
         left, right = (dataclasses.replace(f, stamp_ns=stamp_ns) for f in (result.pair.left, result.pair.right))
         stamped = dataclasses.replace(result, pair=StereoPair(left, right), config=config)
         return self._types.serialize(BUILDERS[topic].build(self._messages, stamped))
-
-    def zero_padded(self, topic: str, data: bytes) -> bytes:
-        """Serialized again: the middleware leaves garbage between the fields."""
-        return self._types.serialize(self._types.deserialize(data, BUILDERS[topic].msgtype))
 
     def _result(self, stamp_ns: int, config: PipelineConfig) -> StereoResult:
         source, frame = key_of(stamp_ns)
@@ -426,10 +422,9 @@ class FaultInjection:
         print(f"wrong: {topic} of {stamp_ns} {key_of(stamp_ns)} at {self._fault}, sent at {sent_at}", flush=True)
 
     def _is_right(self, topic: str, stamp_ns: int, data: bytes, sent_at: float, now: float) -> bool:
-        zero_padded = self._offline.zero_padded(topic, data)
         histories = [self._nodes.histories[group].between(sent_at, now) for group in ("matching", "depth", "cloud")]
         return any(
-            self._offline.message(topic, stamp_ns, PipelineConfig(BASE.pairing, *configs)) == zero_padded
+            self._offline.message(topic, stamp_ns, PipelineConfig(BASE.pairing, *configs)) == data
             for configs in itertools.product(*histories)
         )
 
