@@ -84,7 +84,7 @@ def test_other_readers_see_numbers(camera: CameraModel) -> None:
         ("537.5,", "", "right.yaml: K has 8 values, it takes 3 x 3"),
         ("537.5", "wide", "right.yaml: a value is not a number.*wide"),
         ("image_width: 640", "image_width: [640]", "right.yaml: a value is not a number"),
-        ("camera_matrix:", "camera_matrix: !!opencv-matrix", "right.yaml: is not plain YAML .*opencv-matrix"),
+        ("camera_matrix:", "camera_matrix: *K", r"right.yaml: is not plain YAML \(alias \*K"),
         (RIGHT_YAML, "", "right.yaml: a value is not a number or a list"),
     ],
 )
@@ -101,10 +101,10 @@ def test_refused_files(tmp_path: Path, old: str, new: str, match: str) -> None:
 
 
 def test_files_that_cannot_be_opened(camera: CameraModel, tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"none\.yaml: cannot be read .*No such file"):
+    with pytest.raises(CalibrationError, match=r"none\.yaml: does not exist"):
         StereoRig.from_yaml(tmp_path / "none.yaml", tmp_path / "none.yaml")
     (tmp_path / "image.yaml").write_bytes(b"\xff\xd8\xff\xe0")
-    with pytest.raises(CalibrationError, match=r"image\.yaml: is not plain YAML"):
+    with pytest.raises(CalibrationError, match=r"image\.yaml: byte 0xff in line 1 is not UTF-8"):
         StereoRig.from_yaml(tmp_path / "image.yaml", tmp_path / "image.yaml")
     with pytest.raises(OutputError, match=r"left\.yaml: cannot be written: No such file"):
         write_camera(tmp_path / "none" / "left.yaml", camera, "left")

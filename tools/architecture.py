@@ -54,7 +54,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "numba": ("core", "matching"),
     "maxflow": ("matching",),
     "onnxruntime": ("matching",),
-    "ruamel": ("core", "config", "bags", "datasets"),
+    "ruamel": ("core",),
     "lz4": ("bags",),
     "mcap": ("bags",),
     "rosbags": ("bags",),

@@ -16,12 +16,12 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.recovery import RecoveredMcap
 from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.safe_yaml import load_yaml
+from stereo_depth_ros.core.text_files import read_text
 
 __all__ = ["BagSource", "bag_files", "is_bag", "open_sources"]
 
@@ -170,6 +170,6 @@ def _remedy(path: Path) -> str:
 def _read_metadata(path: Path) -> dict[str, Any]:
     """The contents of metadata.yaml; empty where it is missing or damaged, as after a crash of the recorder."""
     try:
-        return dict(YAML(typ="safe", pure=True).load(path)["rosbag2_bagfile_information"])
-    except (OSError, YAMLError, KeyError, TypeError, ValueError):
+        return dict(load_yaml(read_text(path, BagError, "copy it again"))["rosbag2_bagfile_information"])
+    except (BagError, KeyError, TypeError, ValueError):
         return {}

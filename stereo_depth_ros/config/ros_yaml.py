@@ -10,11 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
-
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.safe_yaml import Mapping, Scalar, YamlError, YamlNode, parse_yaml
+from stereo_depth_ros.core.text_files import read_text
 
 __all__ = ["node_parameters", "parse_value"]
 
@@ -35,10 +33,10 @@ def parse_value(name: str, text: str) -> Any:
     """
     problem = f"{text!r} is not a value"
     try:
-        root = _yaml().compose(text)
-        if isinstance(root, (ScalarNode, SequenceNode)):
-            return _value(root)
-    except YAMLError as error:
+        roots = parse_yaml(text)
+        if len(roots) == 1 and not isinstance(roots[0], Mapping):
+            return _value(roots[0])
+    except YamlError as error:
         problem += f" ({error})"
     raise ConfigError(
         problem,
@@ -60,12 +58,11 @@ def node_parameters(path: Path, *nodes: str) -> dict[str, Any]:
     Raises:
         ConfigError: the file cannot be read or is not a parameter file.
     """
+    remedy = "name a YAML file of ROS parameters"
     try:
-        roots = list(_yaml().compose_all(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        raise ConfigError(
-            f"is not a parameter file ({error})", subject=str(path), remedy="name a YAML file of ROS parameters"
-        ) from error
+        roots = parse_yaml(read_text(path, ConfigError, remedy))
+    except YamlError as error:
+        raise ConfigError(f"is not a parameter file ({error})", subject=str(path), remedy=remedy) from error
     if not roots:
         raise _not_a_parameter_file(path)
     sections: dict[str, dict[str, Any]] = {}
@@ -81,12 +78,6 @@ def node_parameters(path: Path, *nodes: str) -> dict[str, Any]:
     return found
 
 
-def _yaml() -> YAML:
-    yaml = YAML(typ="safe", pure=True)
-    yaml.version = (1, 1)
-    return yaml
-
-
 def _not_a_parameter_file(path: Path) -> ConfigError:
     return ConfigError(
         "is not a parameter file",
@@ -95,16 +86,16 @@ def _not_a_parameter_file(path: Path) -> ConfigError:
     )
 
 
-def _sections(node: Any, prefix: str, path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+def _sections(node: YamlNode, prefix: str, path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Absolute name and parameters of each section."""
-    if not isinstance(node, MappingNode):
+    if not isinstance(node, Mapping):
         raise _not_a_parameter_file(path)
-    for key, content in node.value:
-        if key.value != _KEY:
-            name = key.value if not prefix and key.value.startswith("/") else f"{prefix}/{key.value}"
+    for key, content in node.items:
+        if key != _KEY:
+            name = key if not prefix and key.startswith("/") else f"{prefix}/{key}"
             yield from _sections(content, name, path)
             continue
-        if not isinstance(content, MappingNode):
+        if not isinstance(content, Mapping):
             raise _not_a_parameter_file(path)
         if not _SECTION.fullmatch(prefix):
             raise ConfigError(
@@ -117,13 +108,13 @@ def _sections(node: Any, prefix: str, path: Path) -> Iterator[tuple[str, dict[st
         yield prefix, dict(_parameters(content, "", path))
 
 
-def _parameters(mapping: MappingNode, prefix: str, path: Path) -> Iterator[tuple[str, Any]]:
+def _parameters(mapping: Mapping, prefix: str, path: Path) -> Iterator[tuple[str, Any]]:
     """Full name and value of each parameter; nested names are joined by dots."""
-    for key, content in mapping.value:
-        name = f"{prefix}{key.value}"
-        if isinstance(content, MappingNode):
+    for key, content in mapping.items:
+        name = f"{prefix}{key}"
+        if isinstance(content, Mapping):
             yield from _parameters(content, f"{name}.", path)
-        elif isinstance(content, ScalarNode) and not content.value and content.style is None:
+        elif isinstance(content, Scalar) and not content.text and content.plain:
             raise ConfigError(
                 f"parameter {name} has no value",
                 subject=str(path),
@@ -135,9 +126,9 @@ def _parameters(mapping: MappingNode, prefix: str, path: Path) -> Iterator[tuple
 
 
 def _value(node: Any) -> Any:
-    if isinstance(node, SequenceNode):
-        return [_value(item) for item in node.value]
-    return _scalar(node.value, plain=node.style is None)
+    if isinstance(node, list):
+        return [_value(item) for item in node]
+    return _scalar(node.text, node.plain)
 
 
 def _scalar(text: str, plain: bool) -> bool | int | float | str:

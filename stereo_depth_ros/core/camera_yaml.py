@@ -11,6 +11,7 @@ import numpy as np
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.safe_yaml import YamlError, load_yaml
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["camera_from_yaml", "camera_to_yaml"]
@@ -33,14 +34,11 @@ def camera_from_yaml(text: str, source: str = "camera file") -> CameraModel:
     Raises:
         CalibrationError: not plain YAML, or keys or values are missing.
     """
-    from ruamel.yaml import YAML  # on first use: no node reads a camera file
-    from ruamel.yaml.error import YAMLError
-
     try:
-        entries = YAML(typ="safe", pure=True).load(text)
-    except YAMLError as error:
+        entries = load_yaml(text)
+    except YamlError as error:
         raise CalibrationError(
-            f"is not plain YAML ({' '.join(str(error).split())})",
+            f"is not plain YAML ({error})",
             subject=source,
             remedy="export it in the format of camera_calibration",
         ) from error

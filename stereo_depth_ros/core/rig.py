@@ -16,6 +16,7 @@ from stereo_depth_ros.core.camera import CameraModel, check_intrinsics, check_re
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.camera_yaml import camera_from_yaml
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.text_files import read_text
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["Rig", "StereoRig", "check_reference", "check_vertical"]
@@ -110,7 +111,9 @@ class StereoRig:
         Raises:
             CalibrationError: a file cannot be read or is not a camera file, or the cameras are not a rectified pair.
         """
-        left, right = (camera_from_yaml(_read_text(path), str(path)) for path in (left_path, right_path))
+        remedy = "name a file of camera_calibration"
+        texts = (read_text(Path(path), CalibrationError, remedy) for path in (left_path, right_path))
+        left, right = map(camera_from_yaml, texts, (str(left_path), str(right_path)))
         return cls(left, right, (str(left_path), str(right_path)))
 
     @classmethod
@@ -271,19 +274,6 @@ class StereoRig:
             "left camera" if left == "left" else f"left camera ({left})",
             "right camera" if right == "right" else f"right camera ({right})",
         )
-
-
-def _read_text(path: str | Path) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(
-            f"cannot be read ({error})", subject=str(path), remedy="name a file of camera_calibration"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError(
-            f"is not plain YAML ({error})", subject=str(path), remedy="name a file of camera_calibration"
-        ) from error
 
 
 def _array(values: npt.ArrayLike) -> F64:

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.safe_yaml import load_yaml
+from stereo_depth_ros.core.text_files import read_text
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.datasets.dataset import DatasetFrame
 from stereo_depth_ros.datasets.image_files import check_sizes, read_frame
@@ -93,16 +93,15 @@ def _rig(left: Path, right: Path) -> StereoRig:
 
 def _read_sensor(path: Path) -> tuple[F64, F64, F64, tuple[int, int]]:
     """K (3, 3), D (4,), T_body_camera (4, 4), (width, height) of a sensor.yaml."""
+    text = read_text(path, BagError, "copy it again")
     try:
-        # "%YAML:1.0", OpenCV's first line, is not YAML
-        rows = [row for row in path.read_text().splitlines() if not row.startswith("%")]
-        sensor: dict[str, Any] = YAML(typ="safe").load("\n".join(rows))
+        sensor: dict[str, Any] = load_yaml(text)
         fx, fy, cx, cy = sensor["intrinsics"]
         model = sensor["distortion_model"]
         T_body_camera = np.array(sensor["T_BS"]["data"], np.float64).reshape(4, 4)
         D = np.array(sensor["distortion_coefficients"], np.float64)
         width, height = sensor["resolution"]
-    except (OSError, YAMLError, KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BagError(
             f"is not the sensor.yaml of an EuRoC camera ({error!r})", subject=str(path), remedy="copy it again"
         ) from error
