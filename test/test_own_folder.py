@@ -16,7 +16,7 @@ NAMES = ("left.yaml", "report.txt")
 
 
 @pytest.mark.parametrize("text", ["~nosuchuser/x", "", " ", "a\0b", "a\x1b[2Jb", "a\nb"])
-def test_what_is_no_path_is_refused_at_the_start(text: str) -> None:
+def test_what_is_not_a_path_is_refused_at_the_start(text: str) -> None:
     with pytest.raises(ConfigError, match=r"folder = '.* is not the path of a folder: write another one") as caught:
         OwnFolder(text, "folder")
     assert caught.value.settings == ("folder",) and str(caught.value).isprintable()

@@ -172,8 +172,8 @@ class CalibrationConfig(Checked):
     )
     calibration_folder: str = parameter(
         "calibration",
-        "Folder in which ~/save writes left.yaml, right.yaml and the report; in numbered folders below it, where it has "
-        "them already.",
+        "Folder in which ~/save writes left.yaml, right.yaml and the report; in numbered folders below it where it "
+        "has them already.",
         run_time=False,
     )
     overwrite: bool = parameter(
