@@ -92,8 +92,14 @@ def test_from_images_to_files_and_drivers(photographs: list[tuple[U8, U8]], tmp_
         rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
         assert rig.baseline_m == pytest.approx(np.linalg.norm(FISHEYE.rig[3:]), abs=1e-3)
         assert cv2.imread(str(tmp_path / "out" / "coverage.png")) is not None
+        refused = graph.set_parameter("calibration_folder", str(tmp_path / "elsewhere"), "calibration_node")
+        assert not refused.successful and "read-only" in refused.reason.lower()
+        assert not graph.set_parameter("overwrite", True, "calibration_node").successful
+        saved = (tmp_path / "out" / "left.yaml").stat()
         success, text = trigger(graph, "save")
-        assert not success and "left.yaml: already exists" in text and "calibration_folder, overwrite" in text
+        assert success and f"written to {tmp_path / 'out' / '2'}" in text
+        assert (tmp_path / "out" / "left.yaml").stat() == saved
+        assert not (tmp_path / "elsewhere").exists()
         committed = commit(graph)
         assert committed.keys() == {"left", "right"}
         np.testing.assert_array_equal(committed["right"].p, rig.right.P.ravel())
@@ -225,6 +231,7 @@ def test_faults_of_images_are_reported(photographs: list[tuple[U8, U8]]) -> None
         ({"board": "circles"}, "board = 'circles' is not one of"),
         ({"board_square": 25.0}, r"board_square = 25\.0 is outside"),
         ({"lens_model": "fisheye"}, "lens_model = 'fisheye' is not one of"),
+        ({"calibration_folder": "~nosuchuser/x"}, "calibration_folder = '~nosuchuser/x' is not the path of a folder"),
     ],
 )
 def test_boards_that_cannot_be_end_the_start(parameters: dict[str, Any], text: str) -> None:

@@ -17,6 +17,7 @@ from stereo_depth_ros.config import (
 )
 from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.replay.options import ReplayOptions
 
 # Name, default, low, high, step: as stereo_image_proc of Jazzy declares them.
 CONTRACT = {
@@ -72,6 +73,15 @@ def test_names_are_unique_over_all_stages_and_documented() -> None:
     infos = [info for config in CONFIGS.values() for info in parameter_infos(config)]
     assert len({info.name for info in infos}) == len(infos)
     assert all(info.doc.endswith(".") for info in infos)
+
+
+def test_parameters_that_name_files_are_fixed_at_the_start() -> None:
+    """Any participant of the graph may change the others."""
+    infos = {info.name: info for config in (*CONFIGS.values(), ReplayOptions) for info in parameter_infos(config)}
+    texts = {name for name, info in infos.items() if info.type is str and not info.choices and info.run_time}
+    assert texts == set()
+    assert not infos["overwrite"].run_time
+    assert {"onnx_model", "calibration_folder", "bag", "output"} <= infos.keys()
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import CalibrationError, MessageError, StereoDepthError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.unpaired import Arrival, stamp_offset_ns, taken_together, unset_stamps
-from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.image import decode
 
 __all__ = ["BagInfo", "ImageInfo", "TopicSummary", "inspect_bag"]
@@ -171,11 +171,7 @@ class _Inspection:
     def count_pairs(self, stereo: StereoTopics | None, tolerance_s: float) -> tuple[int, int]:
         if stereo is None:
             return 0, 0
-        try:
-            arrivals = self._arrivals(stereo)
-        except MessageError as error:
-            self.problems.append(error)
-            return 0, 0
+        arrivals = self._arrivals(stereo)
         near = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=tolerance_s)
         exact_pairs, near_pairs = _count_pairs(arrivals, PairingConfig()), _count_pairs(arrivals, near)
         if unset := unset_stamps(arrivals, (stereo.left_image, stereo.right_image)):
@@ -186,8 +182,12 @@ class _Inspection:
 
     def _arrivals(self, stereo: StereoTopics) -> list[Arrival]:
         """Side and header stamp of every image, in the order of the bag."""
-        messages = self._reader.messages([stereo.left_image, stereo.right_image])
-        return [(int(message.topic != stereo.left_image), cdr_stamp_ns(message.data)) for message in messages]
+        stamped = StampedMessages()
+        messages = stamped.read(self._reader.messages([stereo.left_image, stereo.right_image]))
+        arrivals = [(int(message.topic != stereo.left_image), stamp_ns) for stamp_ns, message in messages]
+        if stamped.error:
+            self.problems.append(stamped.error)
+        return arrivals
 
     def _first(self, topic: str | None) -> Any:
         if topic is None:

@@ -11,6 +11,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from stereo_depth_ros.core.errors import MessageError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64, U8
 
 __all__ = ["RosbagsTypes"]
@@ -57,7 +58,8 @@ class RosbagsTypes:
         """
         if typename not in self.typestore.types:
             raise MessageError(
-                f"message type {typename!r} is not among the {len(self.typestore.types)} known types of ROS 2 Jazzy",
+                f"message type {quoted(typename)} is not among the {len(self.typestore.types)} known types of ROS 2 "
+                "Jazzy",
                 value=typename,
                 remedy="register its definition in .typestore first",
             )

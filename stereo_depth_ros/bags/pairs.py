@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
+from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.bags.topics import INFO_TYPE, StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
@@ -112,11 +113,15 @@ class SerializedPair:
             MessageError: a message that is damaged, or whose encoding is not supported.
             CalibrationError: an image has another size than the rig; nothing is decoded.
         """
+        return decode_pair(*self.messages(types, image_type, rig), ("left image", "right image"), depth)
+
+    def messages(self, types: RosbagsTypes, image_type: str, rig: Rig | None = None) -> tuple[Any, Any]:
+        """Both images, not decoded; arguments and errors are those of :meth:`images`."""
         left, right = (types.deserialize(image, image_type) for image in (self.left, self.right))
         if rig is not None:
             for message, topic in zip((left, right), rig.topics, strict=True):
                 rig.check_image(*image_size(message, f"{topic} image"), topic)
-        return decode_pair(left, right, ("left image", "right image"), depth)
+        return left, right
 
     @property
     def calibration(self) -> tuple[bytes, bytes]:
@@ -150,11 +155,18 @@ class PerCalibration(Generic[T]):
         self._build = build
         self._last: tuple[tuple[bytes, bytes], T] | None = None
 
-    def of(self, pair: SerializedPair) -> T:
-        """That of the pair."""
+    def of(self, pair: SerializedPair, image_type: str) -> T:
+        """That of the pair, whose images are of ``image_type``; their sizes are checked before it is built.
+
+        Raises:
+            MessageError: as :meth:`SerializedPair.images`.
+            CalibrationError: as :meth:`SerializedPair.images`, or no rig.
+        """
         calibration = pair.calibration
         if self._last is None or self._last[0] != calibration:
-            self._last = calibration, self._build(pair.rig(self._types))
+            rig = pair.rig(self._types)
+            pair.messages(self._types, image_type, rig)
+            self._last = calibration, self._build(rig)
         return self._last[1]
 
 
@@ -174,7 +186,7 @@ class BagPairs:
         topics: topics that are read.
         count: images of the left camera in the whole bag, an upper bound of the number of pairs.
         unpaired_left, unpaired_right: images without a partner; final when :meth:`pairs` is exhausted.
-        losses: why most images are in no pair, a sentence each; empty where most are; final as those.
+        losses: why most images are in no pair, and what was left out, a sentence each; final as those.
         warning: one sentence about a bag that is cut; empty where it is complete.
 
     Raises:
@@ -205,20 +217,21 @@ class BagPairs:
         pairing: StereoPairing[bytes] = StereoPairing(self._pairing_config)
         arrivals: deque[Arrival] = deque(maxlen=_ARRIVALS)
         calibrated = _CalibratedPairs(self._first_infos(), self._info_topics, self._pairing_config.queue_size)
-        for message in self._messages():
+        stamped = StampedMessages()
+        for stamp_ns, message in stamped.read(self._messages()):
             if message.topic in self._info_topics:
                 yield from calibrated.add_info(message.topic, self._info_of_images(message))
                 continue
             is_left = message.topic == self.topics.left_image
             add = pairing.add_left if is_left else pairing.add_right
-            arrivals.append((0 if is_left else 1, cdr_stamp_ns(message.data)))
-            for left, right in add(arrivals[-1][1], message.data):
+            arrivals.append((0 if is_left else 1, stamp_ns))
+            for left, right in add(stamp_ns, message.data):
                 yield from calibrated.add_pair(left, right)
         for left, right in pairing.flush():
             yield from calibrated.add_pair(left, right)
         yield from calibrated.flush()
         self.unpaired_left, self.unpaired_right = pairing.counts.dropped_left, pairing.counts.dropped_right
-        self.losses = tuple(self._losses(pairing.counts, arrivals))
+        self.losses = (*self._losses(pairing.counts, arrivals), *([str(stamped.error)] if stamped.error else []))
 
     def close(self) -> None:
         """Close the bag."""
@@ -257,9 +270,10 @@ class BagPairs:
     def _first_infos(self) -> dict[str, bytes]:
         infos = {}
         for topic in self._info_topics:
-            first = next(self._reader.messages([topic]), None)
+            stamped = StampedMessages()
+            _, first = next(stamped.read(self._reader.messages([topic])), (0, None))
             if first is None:
-                raise BagError(
+                raise stamped.error or BagError(
                     f"{topic} has no messages",
                     subject=str(self._selection.path),
                     value=topic,
@@ -352,5 +366,6 @@ def read_pairs(bag: str | Path) -> Iterator[tuple[StereoPair, StereoRig]]:
     rigs, depth = PerCalibration(types, lambda rig: rig), BitDepth()
     with BagPairs(BagSelection(Path(bag)), PairingConfig()) as pairs:
         for pair in pairs.pairs():
-            rig = rigs.of(pair)
-            yield pair.images(types, pairs.topics.image_type, rig, depth), rig
+            image_type = pairs.topics.image_type
+            rig = rigs.of(pair, image_type)
+            yield pair.images(types, image_type, rig, depth), rig

@@ -23,6 +23,7 @@ from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import StreamReader
 
 from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.quoted import quoted
 
 __all__ = ["RecoveredMcap"]
 
@@ -177,7 +178,7 @@ def _unpack(chunk: Chunk) -> bytes:
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
     if chunk.compression:
         raise BagError(
-            f"chunk compression {chunk.compression!r} is not supported, supported are zstd, lz4 and none",
+            f"chunk compression {quoted(chunk.compression)} is not supported, supported are zstd, lz4 and none",
             value=chunk.compression,
             limit=("zstd", "lz4", "none"),
             remedy="convert the bag to one of these",

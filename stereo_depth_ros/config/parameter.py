@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from stereo_depth_ros.config.matchers import MATCHERS, matchers_with
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.quoted import quoted
 
 __all__ = ["Checked", "ParameterInfo", "parameter", "parameter_infos", "replace_checked", "unknown_parameter"]
 
@@ -59,7 +60,7 @@ class ParameterInfo:
             ConfigError: another type, not one of the choices, or out of range.
         """
         if self.type is float and type(value) is int:
-            value = float(value)
+            value = float(value) if abs(value) <= _LARGEST_WHOLE else math.inf
         if type(value) is not self.type:
             raise self._error(
                 value,
@@ -88,7 +89,12 @@ class ParameterInfo:
         return value
 
     def _error(self, value: Any, problem: str, limit: object, remedy: str) -> ConfigError:
-        return ConfigError(f"parameter {self.name} = {value!r} {problem}", value=value, limit=limit, remedy=remedy)
+        return ConfigError(
+            f"parameter {self.name} = {quoted(value)} {problem}", value=value, limit=limit, remedy=remedy
+        )
+
+
+_LARGEST_WHOLE = 2**53  # that a float holds exactly
 
 
 def parameter(default: bool | int | float | str, doc: str, **info: Any) -> Any:
@@ -127,7 +133,7 @@ def unknown_parameter(name: str, known: Iterable[str]) -> ConfigError:
     names = tuple(known)
     close = difflib.get_close_matches(name, names, 1)
     remedy = f"did you mean {close[0]!r}?" if close else "see the table of parameters"
-    return ConfigError(f"unknown parameter {name!r}", value=name, limit=names, remedy=remedy)
+    return ConfigError(f"unknown parameter {quoted(name)}", value=name, limit=names, remedy=remedy)
 
 
 class Checked:

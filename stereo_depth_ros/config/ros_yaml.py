@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.safe_yaml import Mapping, Scalar, YamlError, YamlNode, parse_yaml
 from stereo_depth_ros.core.text_files import read_text
 
@@ -31,7 +32,7 @@ def parse_value(name: str, text: str) -> Any:
     Raises:
         ConfigError: not YAML, nothing, or a mapping.
     """
-    problem = f"{text!r} is not a value"
+    problem = f"{quoted(text)} is not a value"
     try:
         roots = parse_yaml(text)
         if len(roots) == 1 and not isinstance(roots[0], Mapping):
@@ -99,7 +100,7 @@ def _sections(node: YamlNode, prefix: str, path: Path) -> Iterator[tuple[str, di
             raise _not_a_parameter_file(path)
         if not _SECTION.fullmatch(prefix):
             raise ConfigError(
-                f"section {prefix!r} is not the name of a node",
+                f"section {quoted(prefix)} is not the name of a node",
                 subject=str(path),
                 value=prefix,
                 limit="words, * and ** separated by single slashes",

@@ -171,9 +171,14 @@ class CalibrationConfig(Checked):
         unit="px",
     )
     calibration_folder: str = parameter(
-        "calibration", "Folder in which ~/save writes left.yaml, right.yaml and the report."
+        "calibration",
+        "Folder in which ~/save writes left.yaml, right.yaml and the report; in numbered folders below it where it "
+        "has them already.",
+        run_time=False,
     )
-    overwrite: bool = parameter(False, "Whether ~/save replaces existing files.")
+    overwrite: bool = parameter(
+        False, "Whether ~/save replaces the files in the folder instead of adding numbered ones.", run_time=False
+    )
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,12 @@ import numpy as np
 
 from stereo_depth_ros.core.distortion import COEFFICIENTS, known_distortion
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["CameraModel", "check_calibrated", "check_intrinsics", "check_rectification", "check_rotation"]
+__all__ = ["MAX_PIXELS", "CameraModel", "check_calibrated", "check_intrinsics", "check_rectification", "check_rotation"]
+
+MAX_PIXELS = 2**26  # of an image or a camera; the largest sensors of machine vision have 65 million
 
 _K_FORM = ("K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
 _P_FORM = ("P", "[[fx, 0, cx, -fx * baseline], [0, fy, cy, 0], [0, 0, 1, 0]]")
@@ -99,9 +102,17 @@ def check_intrinsics(camera: CameraModel, label: str) -> None:
             limit=(1, 1),
             remedy="set width and height",
         )
+    if camera.width * camera.height > MAX_PIXELS:
+        raise CalibrationError(
+            f"size {camera.width}x{camera.height} is more than {MAX_PIXELS} px",
+            subject=label,
+            value=(camera.width, camera.height),
+            limit=MAX_PIXELS,
+            remedy="set width and height of the images",
+        )
     if camera.distortion_model not in COEFFICIENTS:
         raise CalibrationError(
-            f"distortion_model {camera.distortion_model!r} is not one of {', '.join(COEFFICIENTS)}",
+            f"distortion_model {quoted(camera.distortion_model)} is not one of {', '.join(COEFFICIENTS)}",
             subject=label,
             value=camera.distortion_model,
             limit=tuple(COEFFICIENTS),

@@ -38,7 +38,7 @@ def camera_from_info(info: Any, topic: str = "") -> CameraModel:
         )
     except CalibrationError as error:
         raise error.about(topic or "camera info") from error
-    with np.errstate(invalid="ignore"):  # inf is refused where a camera is checked
+    with np.errstate(invalid="ignore", over="ignore"):  # inf is refused where a camera is checked
         image = replace(sensor, K=to_image @ sensor.K, P=to_image @ sensor.P)
     return image.described()
 

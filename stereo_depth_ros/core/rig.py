@@ -16,6 +16,7 @@ from stereo_depth_ros.core.camera import CameraModel, check_intrinsics, check_re
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.camera_yaml import camera_from_yaml
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.text_files import read_text
 from stereo_depth_ros.core.types import F64
 
@@ -146,7 +147,12 @@ class StereoRig:
         check_intrinsics(right, "right camera")
         check_rotation(_array(R).reshape(3, 3), "R from the left to the right camera")
         _check_baseline(float(np.linalg.norm(_array(T))), "T from the left to the right camera")
-        R_left, R_right, P_left, P_right = _rectify(left, right, _array(R), _array(T), alpha)
+        try:
+            R_left, R_right, P_left, P_right = _rectify(left, right, _array(R), _array(T), alpha)
+        except cv2.error as error:
+            raise CalibrationError(
+                "these cameras cannot be rectified", value=(K_left, K_right), remedy="calibrate again"
+            ) from error
         return cls(replace(left, R=R_left, P=P_left), replace(right, R=R_right, P=P_right))
 
     @classmethod
@@ -261,7 +267,7 @@ class StereoRig:
         own, other = (self.left, self.right) if side == "left" else (self.right, self.left)
         if frame_id and frame_id != own.frame_id and frame_id == other.frame_id:
             raise CalibrationError(
-                f"frame_id is {frame_id!r}, the frame of the other camera, expected {own.frame_id!r}",
+                f"frame_id is {quoted(frame_id)}, the frame of the other camera, expected {quoted(own.frame_id)}",
                 subject=topic,
                 value=frame_id,
                 limit=own.frame_id,

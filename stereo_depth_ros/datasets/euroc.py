@@ -8,21 +8,29 @@ Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
 from __future__ import annotations
 
 import csv
+import io
+import operator
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.camera import check_rotation
+from stereo_depth_ros.core.errors import BagError, CalibrationError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.safe_yaml import load_yaml
+from stereo_depth_ros.core.safe_yaml import YamlError, load_yaml
 from stereo_depth_ros.core.text_files import read_text
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.datasets.dataset import DatasetFrame
 from stereo_depth_ros.datasets.image_files import check_sizes, read_frame
 
 __all__ = ["EurocDataset"]
+
+_COPY = "copy it again"
+_MOST_BYTES = 2**26  # of data.csv
+_END_NS = 2**31 * 10**9  # of the stamps of ROS
 
 
 class EurocDataset:
@@ -71,46 +79,69 @@ class EurocDataset:
 
 def _read_index(camera: Path) -> dict[int, Path]:
     """Image file per stamp in nanoseconds; rows without an image file, as in an excerpt, are skipped."""
-    with (camera / "data.csv").open(newline="") as file:
-        rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+    path = camera / "data.csv"
+    text = read_text(path, BagError, _COPY, _MOST_BYTES)
     try:
-        images = {int(row[0]): camera / "data" / row[1].strip() for row in rows}
-    except (ValueError, IndexError) as error:
+        rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
+        images = {int(row[0]): camera / "data" / Path(row[1].strip()).name for row in rows}
+    except (ValueError, IndexError, csv.Error) as error:
+        raise BagError("its rows are not a stamp and a file name", subject=str(path), remedy=_COPY) from error
+    if images and not 0 <= min(images) <= max(images) < _END_NS:
         raise BagError(
-            f"its rows are not a stamp and a file name ({error})",
-            subject=str(camera / "data.csv"),
-            remedy="copy it again",
-        ) from error
-    return {stamp_ns: path for stamp_ns, path in images.items() if path.exists()}
+            f"has stamps outside 0..{_END_NS // 10**9} s, they are in nanoseconds",
+            subject=str(path),
+            value=(min(images), max(images)),
+            limit=_END_NS,
+            remedy=_COPY,
+        )
+    present = {path.name for path in (camera / "data").glob("*")}
+    return {stamp_ns: path for stamp_ns, path in images.items() if path.name in present}
 
 
 def _rig(left: Path, right: Path) -> StereoRig:
     cameras = [_read_sensor(path) for path in (left, right)]
     (K_left, D_left, T_body_left, size), (K_right, D_right, T_body_right, _) = cameras
-    T_right_left = np.linalg.inv(T_body_right) @ T_body_left
-    return StereoRig.from_calibration(K_left, D_left, K_right, D_right, T_right_left[:3, :3], T_right_left[:3, 3], size)
+    with np.errstate(invalid="ignore", over="ignore"):  # refused by the checks of a rig
+        T_right_left = np.linalg.inv(T_body_right) @ T_body_left
+    R, T = T_right_left[:3, :3], T_right_left[:3, 3]
+    try:
+        return StereoRig.from_calibration(K_left, D_left, K_right, D_right, R, T, size)
+    except CalibrationError as error:
+        raise error.about(f"{left} and {right}") from error
 
 
 def _read_sensor(path: Path) -> tuple[F64, F64, F64, tuple[int, int]]:
     """K (3, 3), D (4,), T_body_camera (4, 4), (width, height) of a sensor.yaml."""
-    text = read_text(path, BagError, "copy it again")
+    text = read_text(path, BagError, _COPY)
     try:
         sensor: dict[str, Any] = load_yaml(text)
         fx, fy, cx, cy = sensor["intrinsics"]
         model = sensor["distortion_model"]
         T_body_camera = np.array(sensor["T_BS"]["data"], np.float64).reshape(4, 4)
+        T_body_camera[3] = 0, 0, 0, 1
         D = np.array(sensor["distortion_coefficients"], np.float64)
-        width, height = sensor["resolution"]
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+        width, height = map(operator.index, sensor["resolution"])
+    except (YamlError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise BagError(
-            f"is not the sensor.yaml of an EuRoC camera ({error!r})", subject=str(path), remedy="copy it again"
+            f"is not the sensor.yaml of an EuRoC camera ({_fault(error)})", subject=str(path), remedy=_COPY
         ) from error
     if model != "radial-tangential":
         raise BagError(
-            f"distortion_model = {model!r} is not supported, supported is radial-tangential",
+            f"distortion_model = {quoted(model)} is not supported, supported is radial-tangential",
             subject=str(path),
             value=model,
             limit="radial-tangential",
             remedy="calibrate with this model",
         )
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64), D, T_body_camera, (width, height)
+    try:
+        check_rotation(T_body_camera[:3, :3], "the rotation of T_BS", str(path))
+    except CalibrationError as error:
+        raise BagError(error.problem, subject=error.subject, value=error.value, remedy=_COPY) from error
+    return K, D, T_body_camera, (width, height)
+
+
+def _fault(error: Exception) -> str:
+    if isinstance(error, YamlError):
+        return str(error)
+    return f"it has no {error.args[0]}" if isinstance(error, KeyError) else "a value is not the numbers it should be"

@@ -11,14 +11,27 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera import MAX_PIXELS, CameraModel
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import U8, Frame
+from stereo_depth_ros.core.text_files import read_bytes
+from stereo_depth_ros.core.types import F32, U8, Frame
+from stereo_depth_ros.messages.encodings import decode_file
+from stereo_depth_ros.messages.image_header import read_file_header
 
-__all__ = ["IMAGE_SUFFIXES", "check_sizes", "list_images", "read_disparity_image", "read_frame", "read_image"]
+__all__ = [
+    "IMAGE_SUFFIXES",
+    "check_sizes",
+    "checked_truth",
+    "list_images",
+    "read_disparity_image",
+    "read_frame",
+    "read_image",
+]
 
 
+MAX_BYTES = 2**30  # of an image file
+_FORMATS = ("png", "jpeg", "pnm", "bmp", "tiff", "webp", "pfm")
 IMAGE_SUFFIXES = (".png", ".ppm", ".pgm", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
@@ -55,17 +68,26 @@ def read_disparity_image(path: Path) -> npt.NDArray[Any]:
 
 
 def _read(path: Path, flags: int) -> npt.NDArray[Any]:
-    try:
-        pixels = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), flags)
-    except OSError as error:
+    content = read_bytes(path, BagError, "check the path", MAX_BYTES)
+    header = read_file_header(content)
+    if header is None:
+        kinds = f", which is {', '.join(_FORMATS)}" if content else ", it is empty"
+        raise BagError(f"is not a readable image{kinds}", subject=str(path), limit=_FORMATS, remedy="copy it again")
+    if header.width * header.height > MAX_PIXELS:
         raise BagError(
-            f"is not a readable image ({error.strerror})", subject=str(path), remedy="check the path"
-        ) from error
-    except cv2.error:  # an empty file, for example; the text of OpenCV is not for users
-        pixels = None
+            f"is not a readable image, its header declares {header.width}x{header.height} px and {MAX_PIXELS} px are "
+            "the limit",
+            subject=str(path),
+            value=(header.width, header.height),
+            limit=MAX_PIXELS,
+            remedy="copy it again, or scale it down",
+        )
+    pixels = decode_file(content, flags)
     if pixels is None:
-        raise BagError("is not a readable image", subject=str(path), remedy="copy it again")
-    return np.asarray(pixels)
+        raise BagError(
+            f"is not a readable image, its {header.format} is damaged", subject=str(path), remedy="copy it again"
+        )
+    return pixels
 
 
 def read_frame(path: Path, camera: CameraModel, stamp_ns: int = 0) -> Frame:
@@ -87,3 +109,21 @@ def check_sizes(rig: StereoRig, path: Path) -> None:
     """
     height, width = read_image(path).shape[:2]
     rig.check_image(width, height, str(path))
+
+
+def checked_truth(truth_px: F32, size: tuple[int, int], path: Path) -> F32:
+    """True disparities, float32 (H, W), of the file ``path``.
+
+    Raises:
+        BagError: another width and height than those of the images.
+    """
+    height, width = truth_px.shape
+    if (width, height) != size:
+        raise BagError(
+            f"its disparities are {width}x{height}, the images are {size[0]}x{size[1]}",
+            subject=str(path),
+            value=(width, height),
+            limit=size,
+            remedy="use images and truth of one resolution",
+        )
+    return truth_px

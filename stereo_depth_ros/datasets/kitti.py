@@ -13,11 +13,19 @@ from pathlib import Path
 import numpy as np
 
 from stereo_depth_ros.core.camera import CameraModel
-from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.errors import BagError, CalibrationError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.text_files import read_bytes, read_text
 from stereo_depth_ros.core.types import F32, F64
 from stereo_depth_ros.datasets.dataset import DatasetFrame
-from stereo_depth_ros.datasets.image_files import list_images, read_disparity_image, read_frame, read_image
+from stereo_depth_ros.datasets.image_files import (
+    checked_truth,
+    list_images,
+    read_disparity_image,
+    read_frame,
+    read_image,
+)
 from stereo_depth_ros.datasets.kitti_stamps import frame_numbers, read_stamps
 
 __all__ = ["KittiDataset", "read_calibration", "read_truth", "rig_from_calibration"]
@@ -30,6 +38,7 @@ _LAYOUTS = (
     ("image_00/data", "image_01/data", 0, 1),
     ("image_02/data", "image_03/data", 2, 3),
 )
+_COPY = "copy it again"
 _TRUTH_FOLDERS = ("disp_occ_0", "disp_occ")
 
 
@@ -62,8 +71,8 @@ class KittiDataset:
                 remedy=f"name the folder that holds {' or '.join(f'{x[0]} and {x[1]}' for x in _LAYOUTS)}",
             )
         calibrations = {name: _find_calibration(folder, name) for name in names}
-        first = calibrations[names[0]].read_bytes()
-        kept = [name for name in names if calibrations[name].read_bytes() == first]
+        first = read_bytes(calibrations[names[0]], BagError, _COPY)
+        kept = [name for name in names if read_bytes(calibrations[name], BagError, _COPY) == first]
         self.skipped = len(names) - len(kept)
         self._pairs = [(folder / left / name, folder / right / name) for name in kept]
         self._stamps = read_stamps(folder, Path(left).parent, numbers, names)
@@ -71,8 +80,11 @@ class KittiDataset:
         times = [folder / "times.txt", folder / Path(left).parent / "timestamps.txt"]
         self.files = [*calibrations.values(), *times, *(path for pair in self._pairs for path in pair), *truths]
         height, width = read_image(self._pairs[0][0]).shape[:2]
-        calibration = read_calibration(calibrations[names[0]])
-        self.rig = rig_from_calibration(calibration, (cameras[0], cameras[1]), (width, height))
+        path = calibrations[names[0]]
+        try:
+            self.rig = rig_from_calibration(read_calibration(path), (cameras[0], cameras[1]), (width, height))
+        except CalibrationError as error:
+            raise error.about(path) from error
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -88,17 +100,17 @@ class KittiDataset:
 
     def _truth(self, name: str) -> F32 | None:
         path = next((self.folder / x / name for x in _TRUTH_FOLDERS if (self.folder / x / name).exists()), None)
-        return None if path is None else read_truth(path)
+        return None if path is None else checked_truth(read_truth(path), (self.rig.width, self.rig.height), path)
 
 
 def read_calibration(path: Path) -> dict[str, F64]:
     """The values of a calibration file by name, float64 (N,); rows without names are P0, P1, ...
 
     Raises:
-        BagError: a row with text that is not a number.
+        BagError: not a readable text, or a row with text that is not a number.
     """
     values: dict[str, F64] = {}
-    for row in path.read_text().splitlines():
+    for row in read_text(path, BagError, _COPY).splitlines():
         name, colon, numbers = row.rpartition(":")
         if not row.strip() or name == "calib_time" or row.startswith("calib_time"):
             continue
@@ -106,7 +118,10 @@ def read_calibration(path: Path) -> dict[str, F64]:
             values[name.strip() if colon else f"P{len(values)}"] = np.array(numbers.split(), np.float64)
         except ValueError as error:
             raise BagError(
-                f"is not a KITTI calibration, row {row[:40]!r} ({error})", subject=str(path), remedy="copy it again"
+                f"is not a KITTI calibration, row {quoted(row)} has a word that is not a number",
+                subject=str(path),
+                value=row,
+                remedy=_COPY,
             ) from error
     return values
 
@@ -130,20 +145,29 @@ def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size:
     try:
         P_left, P_right = (_projection(values, camera) for camera in cameras)
     except KeyError as error:
-        raise BagError(
-            f"the KITTI calibration has no {error.args[0]}, it has {', '.join(values)}",
-            value=list(values),
-            limit=error.args[0],
-            remedy="copy the calibration of these cameras",
-        ) from error
-    baseline_m = (P_left[0, 3] - P_right[0, 3]) / P_left[0, 0]
+        raise _lacks(values, error) from error
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # refused by the checks of a rig
+        baseline_m = float((P_left[0, 3] - P_right[0, 3]) / P_left[0, 0])
     rig = StereoRig.from_rectified(
         P_left[0, 0], P_left[1, 1], P_left[0, 2], P_right[0, 2], P_left[1, 2], baseline_m, size
     )
     raw_size = values.get(f"S_{left:02d}")
-    if raw_size is None or tuple(raw_size.astype(int)) != size:
+    if raw_size is None or tuple(raw_size) != size:
         return rig
-    return StereoRig(_raw_camera(values, left, rig.left), _raw_camera(values, right, rig.right))
+    try:
+        return StereoRig(_raw_camera(values, left, rig.left), _raw_camera(values, right, rig.right))
+    except KeyError as error:
+        raise _lacks(values, error) from error
+
+
+def _lacks(values: dict[str, F64], error: KeyError) -> BagError:
+    names = quoted(", ".join(values))
+    return BagError(
+        f"the KITTI calibration has no {error.args[0]}, it has {names}",
+        value=list(values),
+        limit=error.args[0],
+        remedy="copy the calibration of these cameras",
+    )
 
 
 def _projection(values: dict[str, F64], camera: int) -> F64:

@@ -9,11 +9,14 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.text_files import read_text
 
 __all__ = ["frame_numbers", "read_stamps"]
 
 _NAME = re.compile(r"(\d+)(?:_(\d+))?")  # 000103 of a sequence; 000103_10, frame 10 of scene 103 of a benchmark
+_MOST_BYTES = 2**26  # of a file of times
 _PERIOD_NS = 10**8  # the cameras run at 10 Hz
+_END_NS = 2**31 * 10**9  # of the stamps of ROS
 _FIRST_STAMP_NS = 10**9  # of a sequence that counts from 0: a ROS time of 0 means that no time is set
 
 
@@ -67,7 +70,7 @@ def read_stamps(folder: Path, camera: Path, numbers: dict[str, int], names: list
     """
     path, times = _read_times(folder, camera)
     if path is None:
-        return {name: _FIRST_STAMP_NS + numbers[name] * _PERIOD_NS for name in names}
+        return _checked({name: _FIRST_STAMP_NS + numbers[name] * _PERIOD_NS for name in names}, folder)
     last = max(numbers[name] for name in names)
     if last >= len(times) == len(numbers):
         numbers = {name: row for row, name in enumerate(numbers)}
@@ -79,19 +82,36 @@ def read_stamps(folder: Path, camera: Path, numbers: dict[str, int], names: list
             limit=last + 1,
             remedy="copy it again, or remove it for stamps at 10 Hz",
         )
-    return {name: times[numbers[name]] for name in names}
+    return _checked({name: times[numbers[name]] for name in names}, path)
+
+
+def _checked(stamps_ns: dict[str, int], path: Path) -> dict[str, int]:
+    for name, stamp_ns in stamps_ns.items():
+        if not 0 <= stamp_ns < _END_NS:
+            raise BagError(
+                f"the time of {name} is not one, it is outside 0..{_END_NS // 10**9} s",
+                subject=str(path),
+                value=stamp_ns,
+                limit=_END_NS,
+                remedy="correct it, or copy it again",
+            )
+    return stamps_ns
 
 
 def _read_times(folder: Path, camera: Path) -> tuple[Path | None, list[int]]:
     """The file of times and its rows in nanoseconds."""
     try:
         if (path := folder / "times.txt").exists():
-            return path, [_FIRST_STAMP_NS + round(float(time) * 1e9) for time in path.read_text().split()]
+            return path, [_FIRST_STAMP_NS + round(float(time) * 1e9) for time in _text(path).split()]
         if (path := folder / camera / "timestamps.txt").exists():
-            return path, [_parse_date(row) for row in path.read_text().splitlines() if row.strip()]
-    except ValueError as error:
-        raise BagError(f"is not a list of time stamps ({error})", subject=str(path), remedy="copy it again") from error
+            return path, [_parse_date(row) for row in _text(path).splitlines() if row.strip()]
+    except (ValueError, OverflowError) as error:
+        raise BagError("is not a list of time stamps", subject=str(path), remedy="copy it again") from error
     return None, []
+
+
+def _text(path: Path) -> str:
+    return read_text(path, BagError, "copy it again", _MOST_BYTES)
 
 
 def _parse_date(row: str) -> int:

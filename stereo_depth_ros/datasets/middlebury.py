@@ -9,19 +9,23 @@ Scharstein et al., "High-resolution stereo datasets with subpixel-accurate groun
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.errors import BagError, CalibrationError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.text_files import read_text
 from stereo_depth_ros.datasets.dataset import DatasetFrame
 from stereo_depth_ros.datasets.image_files import check_sizes, read_frame
 from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene, view_scale
 
 __all__ = ["MiddleburyDataset"]
 
+_COPY = "copy it again"
 # published for the scenes of 2005 and 2006 at full size
 _VIEW_FOCAL_PX, _VIEW_BASELINE_M = 3740.0, 0.160
 
@@ -104,7 +108,8 @@ def _centered_rig(focal_px: float, baseline_m: float, doffs: float, size: tuple[
 
 def _read_rig(path: Path, size: tuple[int, int]) -> StereoRig:
     """The rig of a calib.txt: cam0, cam1 as [fx 0 cx; 0 fy cy; 0 0 1], baseline in millimeters."""
-    values = dict(line.split("=", 1) for line in path.read_text().splitlines() if "=" in line)
+    text = read_text(path, BagError, _COPY)
+    values = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
     try:
         K_left, K_right = (
             np.array([row.split() for row in values[name].strip(" []").split(";")], np.float64).reshape(3, 3)
@@ -114,21 +119,32 @@ def _read_rig(path: Path, size: tuple[int, int]) -> StereoRig:
         calibrated = (int(values.get("width", size[0])), int(values.get("height", size[1])))
     except (KeyError, ValueError) as error:
         raise BagError(
-            f"is not a Middlebury calibration, which has cam0, cam1 and baseline ({error})",
+            f"is not a Middlebury calibration, which has cam0, cam1 and baseline ({_fault(error)})",
             subject=str(path),
             value=list(values),
             limit=("cam0", "cam1", "baseline"),
-            remedy="copy it again",
+            remedy=_COPY,
         ) from error
-    rig = StereoRig.from_rectified(
-        K_left[0, 0], K_left[1, 1], K_left[0, 2], K_right[0, 2], K_left[1, 2], baseline_m, calibrated
-    )
+    try:
+        rig = StereoRig.from_rectified(
+            K_left[0, 0], K_left[1, 1], K_left[0, 2], K_right[0, 2], K_left[1, 2], baseline_m, calibrated
+        )
+    except CalibrationError as error:
+        raise error.about(path) from error
     rig.check_image(*size, str(path))
     return rig
 
 
+def _fault(error: KeyError | ValueError) -> str:
+    return f"it has no {error.args[0]}" if isinstance(error, KeyError) else "a value is not a number"
+
+
 def _read_number(path: Path) -> float:
+    text = read_text(path, BagError, _COPY)
     try:
-        return float(path.read_text())
-    except ValueError as error:
-        raise BagError(f"does not hold one number ({error})", subject=str(path), remedy="copy it again") from error
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise BagError(f"does not hold one number but {quoted(text)}", subject=str(path), value=text, remedy=_COPY)
+    return number

@@ -6,14 +6,14 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.types import F32
-from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
+from stereo_depth_ros.datasets.image_files import checked_truth, read_disparity_image, read_image
+from stereo_depth_ros.datasets.npz import read_npz
 
 __all__ = ["MiddleburyScene", "view_scale"]
 
@@ -64,9 +64,11 @@ class MiddleburyScene:
         """True disparities, float32 (H, W), x_left - x_right in pixels, NaN where unknown; None without truth.
 
         Raises:
-            BagError: a file that cannot be read.
+            BagError: a file that cannot be read, or truth of another size than the image.
         """
-        return None if self.truth_path is None else _read_truth(self.truth_path, self._truth_scale())
+        if self.truth_path is None:
+            return None
+        return checked_truth(_read_truth(self.truth_path, self._truth_scale()), self.size, self.truth_path)
 
     def visible(self) -> npt.NDArray[np.bool_] | None:
         """Mask of the scene, bool (H, W), true where both cameras see the point; None without a mask.
@@ -127,20 +129,11 @@ def _single(folder: Path, scene: str, pattern: str) -> Path | None:
 def _read_truth(path: Path, scale: float) -> F32:
     """float32 (H, W), NaN where unknown: infinite in .pfm and .npz, 0 in images of ``scale`` levels per pixel."""
     if path.suffix == ".npz":
-        truth = _read_npz(path)
+        truth = read_npz(path)
     else:
-        truth = read_disparity_image(path).astype(np.float32)
+        with np.errstate(over="ignore"):  # inf is unknown
+            truth = read_disparity_image(path).astype(np.float32)
         if path.suffix != ".pfm":
             truth = np.where(truth > 0, truth / np.float32(scale), np.float32(np.nan))
     truth[~np.isfinite(truth)] = np.nan
     return truth
-
-
-def _read_npz(path: Path) -> F32:
-    try:
-        with np.load(path) as arrays:
-            return np.array(arrays[arrays.files[0]], np.float32)
-    except (OSError, ValueError, IndexError, BadZipFile) as error:
-        raise BagError(
-            f"is not a readable array of disparities ({error})", subject=str(path), remedy="copy it again"
-        ) from error

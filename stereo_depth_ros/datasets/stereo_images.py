@@ -11,6 +11,7 @@ from typing import Protocol
 
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.sources import bag_files, is_bag
+from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import BagError, TopicError
@@ -160,13 +161,16 @@ class BagImages:
         pairing: StereoPairing[BagMessage] = StereoPairing(config)
         depth = BitDepth()
         with BagReader(self._path) as reader:
-            for message in reader.messages((self._topics.left_image, self._topics.right_image)):
+            stamped = StampedMessages()
+            for stamp_ns, message in stamped.read(reader.messages((self._topics.left_image, self._topics.right_image))):
                 add = pairing.add_left if message.topic == self._topics.left_image else pairing.add_right
-                for pair in add(cdr_stamp_ns(message.data), message):
+                for pair in add(stamp_ns, message):
                     yield _decoded(reader, *pair, depth)
             for pair in pairing.flush():
                 yield _decoded(reader, *pair, depth)
         lost = pairing.counts.dropped_left + pairing.counts.dropped_right
+        if stamped.error:
+            self.warnings.append(f"{self._path}: {stamped.error}")
         if lost:
             self.warnings.append(f"{self._path}: {lost} images have no partner within {1e3 * _TOLERANCE_S:g} ms")
 

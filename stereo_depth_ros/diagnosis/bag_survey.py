@@ -12,11 +12,11 @@ import numpy as np
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.bags.topics import StereoTopics
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 from stereo_depth_ros.diagnosis.survey import NEAR, PAIRS_EXAMINED, StereoSetup, Survey
-from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 
 __all__ = ["survey_bag"]
 
@@ -91,4 +91,4 @@ def _image_at(reader: BagReader, topic: str, times: _Times) -> bytes:
     """The bytes of the image with this stamp."""
     stamp_ns, log_time_ns = times
     messages = reader.messages([topic], log_time_ns, log_time_ns)
-    return next(message.data for message in messages if cdr_stamp_ns(message.data) == stamp_ns)
+    return next(message.data for stamp, message in StampedMessages().read(messages) if stamp == stamp_ns)

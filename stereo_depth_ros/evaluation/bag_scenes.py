@@ -14,12 +14,12 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, SerializedPair
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
-from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.disparity import matched_disparity
 from stereo_depth_ros.stages.rectification import Rectifier
 
@@ -67,19 +67,21 @@ class BagScenes:
 
     def __iter__(self) -> Iterator[SceneSource]:
         with BagReader(self._path) as reader, BagPairs(BagSelection(self._path), PairingConfig()) as pairs:
-            truths = ((cdr_stamp_ns(message.data), message.data) for message in reader.messages([TRUTH_TOPIC]))
+            truths = StampedMessages().read(reader.messages([TRUTH_TOPIC]))
             known = next(truths, None)
             for number, pair in enumerate(pairs.pairs()):
                 while known is not None and known[0] < pair.stamp_ns:
                     known = next(truths, None)
                 if known is not None and known[0] == pair.stamp_ns:
-                    yield SceneSource(self._name(number), partial(self._load, pair, pairs.topics.image_type, known[1]))
+                    yield SceneSource(
+                        self._name(number), partial(self._load, pair, pairs.topics.image_type, known[1].data)
+                    )
 
     def _name(self, number: int) -> str:
         return f"{self._path.resolve().stem}/{number:04d}"
 
     def _load(self, pair: SerializedPair, image_type: str, truth: bytes) -> Scene:
-        rig, rectifier = self._rectifiers.of(pair)
+        rig, rectifier = self._rectifiers.of(pair, image_type)
         rectified = rectifier.rectify(pair.images(self._types, image_type, rig, self._depth), self._rectified_depth)
         truth_px = matched_disparity(self._types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
         if truth_px.shape == rectified.left.shape:  # make_scene refuses other sizes

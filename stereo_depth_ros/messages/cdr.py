@@ -7,10 +7,10 @@ from __future__ import annotations
 import struct
 
 from stereo_depth_ros.core.errors import MessageError
+from stereo_depth_ros.messages.types import NS_PER_S, nanoseconds
 
 __all__ = ["cdr_stamp_ns", "stamp_text", "with_stamp", "without_stamp"]
 
-_NS = 1_000_000_000
 _HEADER_BYTES, _STAMP_END = 4, 12  # encapsulation, then sec and nanosec of the leading header
 
 
@@ -18,10 +18,9 @@ def cdr_stamp_ns(data: bytes) -> int:
     """Header stamp in the CDR bytes of a message that starts with std_msgs/Header, integer nanoseconds.
 
     Raises:
-        MessageError: fewer bytes than the stamp needs.
+        MessageError: fewer bytes than the stamp needs, or a stamp of a whole second or more in its nanoseconds.
     """
-    sec, nanosec = _stamp_format(data).unpack_from(data, _HEADER_BYTES)
-    return int(sec) * _NS + int(nanosec)
+    return nanoseconds(*_stamp_format(data).unpack_from(data, _HEADER_BYTES))
 
 
 def with_stamp(data: bytes, stamp_ns: int) -> bytes:
@@ -30,7 +29,7 @@ def with_stamp(data: bytes, stamp_ns: int) -> bytes:
     Raises:
         MessageError: fewer bytes than the stamp needs.
     """
-    stamp = _stamp_format(data).pack(*divmod(stamp_ns, _NS))
+    stamp = _stamp_format(data).pack(*divmod(stamp_ns, NS_PER_S))
     return b"".join((data[:_HEADER_BYTES], stamp, memoryview(data)[_STAMP_END:]))
 
 
@@ -41,7 +40,7 @@ def without_stamp(data: bytes) -> bytes:
 
 def stamp_text(stamp_ns: int) -> str:
     """A stamp in seconds with all nine decimals, more than a float can represent."""
-    return f"{stamp_ns // _NS}.{stamp_ns % _NS:09d}"
+    return f"{stamp_ns // NS_PER_S}.{stamp_ns % NS_PER_S:09d}"
 
 
 def _stamp_format(data: bytes) -> struct.Struct:

@@ -18,6 +18,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, Frame, MatchResult
@@ -98,7 +99,7 @@ def published_disparity(msg: Any, topic: str = "disparity") -> F32:
     image = msg.image
     if image.encoding != "32FC1":
         raise MessageError(
-            f"encoding {image.encoding!r}, a DisparityImage holds 32FC1",
+            f"encoding {quoted(image.encoding)}, a DisparityImage holds 32FC1",
             subject=topic,
             value=image.encoding,
             limit="32FC1",

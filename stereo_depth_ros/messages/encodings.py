@@ -18,6 +18,7 @@ from stereo_depth_ros.core.types import U8
 __all__ = [
     "ENCODINGS",
     "StoredEncoding",
+    "decode_file",
     "imdecode",
     "payload_dtype",
     "to_camera_image",
@@ -187,18 +188,32 @@ def to_camera_image(samples: NDArray[Any], encoding: StoredEncoding) -> CameraIm
     return CameraImage(samples, name, gray_code, encoding.cvt_code, None if has_16_bits else encoding.fine_cvt_code)
 
 
+_SILENT = 0  # log level
+_LOGGING: Any = getattr(cv2.utils, "logging", cv2)  # older versions have it in cv2
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 
 def imdecode(data: Any) -> NDArray[Any] | None:
     """uint8 or uint16 (H, W), (H, W, 3) or (H, W, 4) as stored; None if ``data`` is not a complete image of these."""
-    content = bytes(data)
+    stored = decode_file(bytes(data), cv2.IMREAD_UNCHANGED)
+    return stored if stored is not None and stored.dtype in (np.uint8, np.uint16) else None
+
+
+def decode_file(content: bytes, flags: int) -> NDArray[Any] | None:
+    """The pixels in the content of an image file, by the flags of cv2.imread; None if it is not a complete image.
+
+    The size in the header must have been checked: memory for it is allocated.
+    """
     # Some versions of OpenCV silently fill the missing part of a truncated jpeg with gray. Markers do not occur inside
     # a scan, so a complete file has its end marker after the start of its last scan.
     if content.startswith(_JPEG_START) and content.rfind(_JPEG_END) < content.rfind(_JPEG_SCAN):
         return None
+    level = _LOGGING.getLogLevel()
+    _LOGGING.setLogLevel(_SILENT)  # OpenCV writes a line or more to stderr for each image that it cannot read
     try:
-        stored = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
+        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except (cv2.error, MemoryError):
         return None
-    return stored if stored is not None and stored.dtype in (np.uint8, np.uint16) else None
+    finally:
+        _LOGGING.setLogLevel(level)
+    return None if pixels is None else np.asarray(pixels)

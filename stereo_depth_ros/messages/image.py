@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereo_depth_ros.core.bit_depth import BitDepth
+from stereo_depth_ros.core.camera import MAX_PIXELS
 from stereo_depth_ros.core.errors import ConfigError, MessageError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import U8, Frame, StereoPair
 from stereo_depth_ros.messages.encodings import (
     ENCODINGS,
@@ -32,7 +34,6 @@ from stereo_depth_ros.messages.types import MessageTypes, make_header
 from stereo_depth_ros.messages.types import stamp_ns as stamp_of
 
 __all__ = [
-    "MAX_PIXELS",
     "compressed_message",
     "decode",
     "decode_compressed",
@@ -42,8 +43,8 @@ __all__ = [
     "image_size",
 ]
 
-MAX_PIXELS = 2**26  # of a compressed image; the largest sensors of machine vision have 65 million
 # Deflate writes at most 1032 bytes for one (Gailly and Adler, zlib); the shortest jpeg has a bit for 64 pixels.
+_MAX_BITS = 16  # of a sample; a tiff may have floating-point numbers
 _MAX_PIXELS_PER_BYTE = {"png": 1032, "jpeg": 512}
 
 _VIDEO = re.compile(r"(?P<H264>[hx]\.?264|avc)|(?P<H265>[hx]\.?265|hevc)|(?P<AV1>av1)|(?P<VP9>vp9)", re.IGNORECASE)
@@ -148,9 +149,9 @@ def _checked_encoding(msg: Any, topic: str) -> StoredEncoding:
     subject = _subject(topic)
     encoding = ENCODINGS.get(msg.encoding)
     if encoding is None:
-        _refuse_video(msg.encoding, f"encoding = {msg.encoding!r}", subject)
+        _refuse_video(msg.encoding, f"encoding = {quoted(msg.encoding)}", subject)
         raise MessageError(
-            f"encoding = {msg.encoding!r} is not supported",
+            f"encoding = {quoted(msg.encoding)} is not supported",
             subject=subject,
             value=msg.encoding,
             limit=tuple(ENCODINGS),
@@ -221,10 +222,10 @@ def _compressed_encoding(format: str, ndim: int) -> StoredEncoding:
 def _checked_header(msg: Any, content: bytes, topic: str) -> ImageHeader:
     """The header of a compressed image, after a check of format and size; no pixel is read."""
     subject = _subject(topic)
-    _refuse_video(msg.format, f"data of {len(content)} bytes with format {msg.format!r}", subject)
+    _refuse_video(msg.format, f"data of {len(content)} bytes with format {quoted(msg.format)}", subject)
     if "compressedDepth" in msg.format:
         raise MessageError(
-            f"format = {msg.format!r} is a depth image, jpeg or png of a camera is expected",
+            f"format = {quoted(msg.format)} is a depth image, jpeg or png of a camera is expected",
             subject=subject,
             value=msg.format,
             limit=("jpeg", "png"),
@@ -232,6 +233,8 @@ def _checked_header(msg: Any, content: bytes, topic: str) -> ImageHeader:
         )
     header = read_header(content)
     if header is None:
+        raise _damaged(msg, content, topic)
+    if header.bits > _MAX_BITS:
         raise _damaged(msg, content, topic)
     possible = len(content) * _MAX_PIXELS_PER_BYTE.get(header.format, MAX_PIXELS)
     limit = min(MAX_PIXELS, possible)
@@ -249,7 +252,7 @@ def _checked_header(msg: Any, content: bytes, topic: str) -> ImageHeader:
 
 def _damaged(msg: Any, content: bytes, topic: str) -> MessageError:
     return MessageError(
-        f"data of {len(content)} bytes with format {msg.format!r} is not a complete jpeg or png of 8 or 16 bit",
+        f"data of {len(content)} bytes with format {quoted(msg.format)} is not a complete jpeg or png of 8 or 16 bit",
         subject=_subject(topic),
         value=msg.format,
         limit=("jpeg", "png"),

@@ -1,14 +1,18 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Headers of compressed images: size and sample bits of jpeg, png, tiff, webp and bmp without decoding them."""
+"""Headers of image files: size and sample bits of jpeg, png, tiff, webp, bmp, pnm and pfm without decoding them."""
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-__all__ = ["ImageHeader", "read_header"]
+__all__ = ["ImageHeader", "read_file_header", "read_header"]
+
+
+_LONGEST_HEADER = 4096  # bytes, with comments
 
 
 @dataclass(frozen=True)
@@ -16,7 +20,7 @@ class ImageHeader:
     """What the header of an image declares.
 
     Attributes:
-        format: "jpeg", "png", "tiff", "webp" or "bmp".
+        format: "jpeg", "png", "tiff", "webp", "bmp", "pnm" or "pfm".
         width, height: pixels, at least 1.
         bits: per sample.
     """
@@ -28,8 +32,17 @@ class ImageHeader:
 
 
 def read_header(data: bytes) -> ImageHeader | None:
-    """The header of an image file; None for another format, or a header that is cut or contradictory."""
-    for start, read in _READERS.items():
+    """The header of a compressed image; None for another format, or a header that is cut or contradictory."""
+    return _read(data, _READERS)
+
+
+def read_file_header(data: bytes) -> ImageHeader | None:
+    """As :func:`read_header`, of the formats without compression too."""
+    return _read(data, _READERS) or _read(data, dict.fromkeys(_PORTABLE, _portable))
+
+
+def _read(data: bytes, readers: Mapping[bytes, Callable[[bytes], ImageHeader | None]]) -> ImageHeader | None:
+    for start, read in readers.items():
         if data.startswith(start):
             try:
                 header = read(data)
@@ -106,6 +119,19 @@ def _bmp(data: bytes) -> ImageHeader | None:
     (size,) = struct.unpack_from("<I", data, 14)
     width, height = struct.unpack_from("<HH" if size == 12 else "<ii", data, 18)
     return ImageHeader("bmp", width, abs(height))  # negative: rows from top to bottom
+
+
+_PORTABLE = (b"P1", b"P2", b"P3", b"P4", b"P5", b"P6", b"Pf", b"PF")
+_NUMBERS = re.compile(rb"P.((?:\s+|#[^\n]*\n)+)(\d{1,10})((?:\s+|#[^\n]*\n)+)(\d{1,10})\s")
+
+
+def _portable(data: bytes) -> ImageHeader | None:
+    """Of the Netpbm formats, and of pfm, which has a negative scale for little-endian floating-point numbers."""
+    found = _NUMBERS.match(data[:_LONGEST_HEADER])
+    if found is None:
+        return None
+    is_float = data[1:2] in b"fF"
+    return ImageHeader("pfm" if is_float else "pnm", int(found[2]), int(found[4]), 32 if is_float else 8)
 
 
 _READERS = {

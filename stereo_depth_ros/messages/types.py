@@ -6,9 +6,10 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.types import F64, U8
 
-__all__ = ["MessageTypes", "make_header", "stamp_ns"]
+__all__ = ["NS_PER_S", "MessageTypes", "make_header", "nanoseconds", "stamp_ns"]
 
 NS_PER_S = 10**9
 
@@ -44,6 +45,27 @@ def make_header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:
     return types.Header(stamp=types.Time(sec=sec, nanosec=nanosec), frame_id=frame_id)
 
 
-def stamp_ns(header: Any) -> int:
-    """The stamp of a header of either family, integer nanoseconds."""
-    return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
+def stamp_ns(header: Any, topic: str = "") -> int:
+    """The stamp of a header of either family, integer nanoseconds; ``topic`` is the subject of errors.
+
+    Raises:
+        MessageError: as :func:`nanoseconds`.
+    """
+    return nanoseconds(header.stamp.sec, header.stamp.nanosec, topic)
+
+
+def nanoseconds(sec: int, nanosec: int, topic: str = "") -> int:
+    """Integer nanoseconds of the two fields of a stamp; ``topic`` is the subject of errors.
+
+    Raises:
+        MessageError: ``nanosec`` is a whole second or more, which no clock gives.
+    """
+    if not 0 <= nanosec < NS_PER_S:
+        raise MessageError(
+            f"nanosec = {nanosec} of the stamp is outside 0..{NS_PER_S - 1}",
+            subject=topic,
+            value=int(nanosec),
+            limit=NS_PER_S - 1,
+            remedy="the message is damaged, or the clock of its driver is wrong",
+        )
+    return int(sec) * NS_PER_S + int(nanosec)

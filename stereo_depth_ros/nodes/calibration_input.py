@@ -98,7 +98,8 @@ class CalibrationInput:
         self._rig: StereoRig | None = None
 
     def _receive(self, side: int, info: Any) -> None:
-        stamp, last_ns = stamp_ns(info.header), self._infos.last_ns(side)
+        stamp = stamp_ns(info.header, self._node.resolve_topic_name(_TOPICS[side]))
+        last_ns = self._infos.last_ns(side)
         changed = self._infos.add(side, stamp, info_contents(info), info)
         if changed and last_ns is not None and last_ns < stamp <= self._used_ns[side]:
             self._node.diagnostics.counters[_LATE] += 1

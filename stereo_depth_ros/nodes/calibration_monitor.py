@@ -90,7 +90,8 @@ class CalibrationMonitor(StereoNode):
             self._calibration.with_rig(lambda rig: self._examine(left, right, rig), left, right)
 
     def _examine(self, left: Any, right: Any, rig: StereoRig) -> None:
-        pair = self._pairs.decode(left, right, rig)
+        self._pairs.check(left, right, rig)
+        pair = self._pairs.decode(left, right)
         with self.diagnostics.timed("match rows"):
             matches = match_rows(to_gray(pair.left), to_gray(pair.right))
         if self._watch is None or self._watch.rig is not rig:

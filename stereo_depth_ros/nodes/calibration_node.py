@@ -25,6 +25,7 @@ from stereo_depth_ros.core.errors import CalibrationError, OutputError, StereoDe
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.files.output import check_outputs
+from stereo_depth_ros.files.own_folder import OwnFolder
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.types import stamp_ns
@@ -42,6 +43,7 @@ __all__ = ["CalibrationNode", "main"]
 
 SIDES = ("left", "right")
 COMMIT_TIMEOUT_S = 5.0  # for a driver to appear, and again for its response
+_IMAGE = "coverage.png"
 _SEE_LOG = "read the log of the driver"
 
 
@@ -78,6 +80,7 @@ class CalibrationNode(StereoNode):
             dictionary=config.board_dictionary,
             spacing=config.board_spacing,
         )
+        self._folder = OwnFolder(config.calibration_folder, "calibration_folder")
         self._live = LiveCalibration(board, config.lens_model, config.max_board_motion)
         self._lock = threading.Lock()  # of the live calibration
         self._overlay = self.add_output("calibration/image")
@@ -174,17 +177,18 @@ class CalibrationNode(StereoNode):
         return f"{_summary(result)}{dropped}{better}"
 
     def _save(self) -> str:
-        result, config = self._result(), self.parameters.get(CalibrationConfig)
-        folder, overwrite = Path(config.calibration_folder).expanduser(), config.overwrite
-        image = folder / "coverage.png"
+        result, overwrite = self._result(), self.parameters.get(CalibrationConfig).overwrite
+        names = [*(path.name for path in calibration_files(Path())), _IMAGE]
+        folder = self._folder.place(names, overwrite=overwrite)
+        image = folder / _IMAGE
         try:
-            check_outputs([*calibration_files(folder), image], overwrite=overwrite)
+            check_outputs([folder / name for name in names], overwrite=overwrite)
         except OutputError as error:
             error.settings = ("calibration_folder", "overwrite")
             raise
         save_calibration(result, folder, overwrite=overwrite)
         save_png(image, coverage_plot(result), overwrite=overwrite)
-        return f"left.yaml, right.yaml, calibration.json, .txt and coverage.png written to {folder.resolve()}"
+        return f"left.yaml, right.yaml, calibration.json, .txt and coverage.png written to {folder}"
 
     def _commit(self) -> str:
         """Uses a second node, because this one is blocked in the service call.

@@ -75,11 +75,12 @@ class DisparityNode(StereoNode):
         self._calibration.with_rig(lambda rig: self._add(left, right, rig), left, right)
 
     def _add(self, left: Any, right: Any, rig: StereoRig) -> None:
+        self._pairs.check(left, right, rig)
         config, rectifier = self.parameters.get(MatchingConfig), self._rectifier(rig)
         self.add_frame(_Frame(left, right, rig, config, rectifier, self._stage(config, rectifier)))
 
     def _prepare(self, frame: _Frame) -> _Decoded:
-        pair = self._pairs.decode(frame.left, frame.right, frame.rig)
+        pair = self._pairs.decode(frame.left, frame.right)
         return _Decoded(frame, pair, to_gray(pair.left), to_gray(pair.right))
 
     def _match(self, decoded: _Decoded) -> tuple[_Decoded, MatchResult]:

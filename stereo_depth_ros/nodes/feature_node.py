@@ -51,7 +51,8 @@ class FeatureNode(StereoNode):
 
     def _publish(self, left: Any, right: Any, rig: StereoRig) -> None:
         config = self.parameters.get(MatchingConfig)
-        pair = self._pairs.decode(left, right, rig)
+        self._pairs.check(left, right, rig)
+        pair = self._pairs.decode(left, right)
         with self.diagnostics.timed("match"):
             matches = self._stage(config, self._rectifier(rig)).find(to_gray(pair.left), to_gray(pair.right))
         points_m = matches.points_m(Triangulation.from_rig(rig))

@@ -72,7 +72,7 @@ class PairInput:
         self._deliver(self._pairing.add_right(stamp, message))
 
     def _note(self, message: Any, side: int) -> int:
-        stamp = stamp_ns(message.header)
+        stamp = stamp_ns(message.header, self._node.resolve_topic_name(self._topics[side]))
         self._arrivals.append((side, stamp))
         if stamp == 0:
             self._unset += 1
@@ -107,22 +107,26 @@ class PairInput:
         """Duplicate stamps, but for those that are not set, which are an error of their own."""
         return max(0, self._node.diagnostics.counters[_DUPLICATES] - self._unset)
 
-    def decode(self, left: Any, right: Any, rig: StereoRig | None = None) -> StereoPair:
+    def check(self, left: Any, right: Any, rig: StereoRig) -> None:
+        """Before anything of the size of the rig is built: whether it is that of the images, which are not decoded.
+
+        Raises:
+            MessageError: an image that is none, with its topic.
+            CalibrationError: the camera infos are those of the other camera, or of another size.
+        """
+        for side, message, topic in zip(("left", "right"), (left, right), self._names(), strict=True):
+            _check(rig, side, message, topic)
+
+    def decode(self, left: Any, right: Any) -> StereoPair:
         """The frames of a pair, which come in the order of the pairs; all 16-bit images have one bit depth.
 
         Args:
             left, right: Image or CompressedImage.
-            rig: the cameras; None checks nothing.
 
         Raises:
             MessageError: an image that cannot be decoded, with its topic.
-            CalibrationError: the camera infos are those of the other camera, or of another size; nothing is decoded.
         """
-        resolved = self._names()
-        if rig is not None:
-            for side, message, topic in zip(("left", "right"), (left, right), resolved, strict=True):
-                _check(rig, side, message, topic)
-        return decode_pair(left, right, resolved, self._depth)
+        return decode_pair(left, right, self._names(), self._depth)
 
     def _deliver(self, pairs: list[tuple[Any, Any]]) -> None:
         self._count()

@@ -31,11 +31,10 @@ __all__ = ["StereoDepthNode", "main"]
 
 
 class _Frame(NamedTuple):
-    """A pair of messages, and the rig and the pipeline that were current when it arrived."""
+    """A pair of messages, and the pipeline that was current when it arrived."""
 
     left: Any
     right: Any
-    rig: StereoRig
     pipeline: StereoPipeline
 
 
@@ -69,12 +68,14 @@ class StereoDepthNode(StereoNode):
         self.add_input("right/image_raw", self._pairs.add_right)
 
     def _on_pair(self, left: Any, right: Any) -> None:
-        self._calibration.with_rig(
-            lambda rig: self.add_frame(_Frame(left, right, rig, self._pipeline_of(rig))), left, right
-        )
+        self._calibration.with_rig(lambda rig: self._add(left, right, rig), left, right)
+
+    def _add(self, left: Any, right: Any, rig: StereoRig) -> None:
+        self._pairs.check(left, right, rig)
+        self.add_frame(_Frame(left, right, self._pipeline_of(rig)))
 
     def _prepare(self, frame: _Frame) -> tuple[StereoPipeline, PreparedPair]:
-        pair = self._pairs.decode(frame.left, frame.right, frame.rig)
+        pair = self._pairs.decode(frame.left, frame.right)
         return frame.pipeline, frame.pipeline.prepare(pair)
 
     def _match(self, prepared: tuple[StereoPipeline, PreparedPair]) -> tuple[StereoPipeline, StereoResult]:

@@ -137,7 +137,7 @@ class _Engine:
 
     def process(self, pair: SerializedPair, image_type: str, writer: BagWriter) -> dict[str, float]:
         """Compute a pair and write its messages; returns milliseconds per stage."""
-        pipeline = self._pipelines.of(pair)
+        pipeline = self._pipelines.of(pair, image_type)
         result = pipeline.process(pair.images(self._types, image_type, pipeline.rig, self._depth))
         self.rig = result.calibrated_rig
         assert self._first is not None  # made with the pipeline
