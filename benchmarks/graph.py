@@ -84,10 +84,10 @@ class Row:
         )
 
 
-class Harness:
-    """Publishes serialized pairs and counts the received outputs."""
+class Camera:
+    """Publishes the serialized first pair of a sequence again and again, with new stamps."""
 
-    def __init__(self, sequence: SyntheticSequence, typed: bool) -> None:
+    def __init__(self, sequence: SyntheticSequence) -> None:
         self._types = RosbagsTypes()
         self._rig = sequence.rig
         self._pair = sequence[0].pair
@@ -95,7 +95,7 @@ class Harness:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-        self._publishers = {
+        self.publishers = {
             topic: self.node.create_publisher(kind, topic, qos)
             for topic, kind in (
                 ("left/camera_info", CameraInfo),
@@ -104,30 +104,7 @@ class Harness:
                 ("right/image_raw", Image),
             )
         }
-        self.received = {"points2": 0, "disparity": 0}
-        for topic, kind in (("points2", PointCloud2), ("disparity", DisparityImage)):
-            self.node.create_subscription(kind, topic, self._receiver(topic), qos, raw=not typed)
         self._stamp_ns = 1_000_000_000
-
-    def _receiver(self, topic: str) -> Callable[[object], None]:
-        def receive(_: object) -> None:
-            self.received[topic] += 1
-
-        return receive
-
-    def wait_for_graph(self) -> None:
-        deadline = time.monotonic() + TIMEOUT_S
-        while not all(p.get_subscription_count() for p in self._publishers.values()):
-            if time.monotonic() > deadline:
-                missing = [t for t, p in self._publishers.items() if not p.get_subscription_count()]
-                raise TimeoutError(f"no subscriber of {missing} within {TIMEOUT_S:g} s")
-            self._executor.spin_once(timeout_sec=0.1)
-        # Best-effort messages are lost until both ends of a connection have discovered each other: retry until then.
-        while not self.wait(1, timeout_s=2.0):
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"no cloud and disparity within {TIMEOUT_S:g} s")
-            self.send(self.messages())
-        self.wait(sys.maxsize, timeout_s=1.0)  # receive the outputs of the retries
 
     def messages(self) -> dict[str, bytes]:
         """The serialized messages of the next pair by topic."""
@@ -143,14 +120,15 @@ class Harness:
 
     def send(self, messages: dict[str, bytes]) -> None:
         for topic, data in messages.items():
-            self._publishers[topic].publish(data)
+            self.publishers[topic].publish(data)
 
-    def wait(self, count: int, timeout_s: float = TIMEOUT_S) -> bool:
-        """Wait for that many clouds and disparities; False after the timeout."""
-        deadline = time.monotonic() + timeout_s
-        while min(self.received.values()) < count and time.monotonic() < deadline:
-            self._executor.spin_once(timeout_sec=0.1)
-        return min(self.received.values()) >= count
+    def wait_for_subscribers(self) -> None:
+        """Wait until all topics have a subscriber."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while missing := [topic for topic, p in self.publishers.items() if not p.get_subscription_count()]:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"no subscriber of {missing} within {TIMEOUT_S:g} s")
+            self.spin_once()
 
     def spin_once(self, timeout_s: float = 0.1) -> None:
         self._executor.spin_once(timeout_sec=timeout_s)
@@ -158,6 +136,40 @@ class Harness:
     def close(self) -> None:
         self._executor.shutdown()
         self.node.destroy_node()
+
+
+class Harness(Camera):
+    """A camera that counts the received outputs."""
+
+    def __init__(self, sequence: SyntheticSequence, typed: bool) -> None:
+        super().__init__(sequence)
+        self.received = {"points2": 0, "disparity": 0}
+        qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        for topic, kind in (("points2", PointCloud2), ("disparity", DisparityImage)):
+            self.node.create_subscription(kind, topic, self._receiver(topic), qos, raw=not typed)
+
+    def _receiver(self, topic: str) -> Callable[[object], None]:
+        def receive(_: object) -> None:
+            self.received[topic] += 1
+
+        return receive
+
+    def wait_for_graph(self) -> None:
+        deadline = time.monotonic() + TIMEOUT_S
+        self.wait_for_subscribers()
+        # Best-effort messages are lost until both ends of a connection have discovered each other: retry until then.
+        while not self.wait(1, timeout_s=2.0):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"no cloud and disparity within {TIMEOUT_S:g} s")
+            self.send(self.messages())
+        self.wait(sys.maxsize, timeout_s=1.0)  # receive the outputs of the retries
+
+    def wait(self, count: int, timeout_s: float = TIMEOUT_S) -> bool:
+        """Wait for that many clouds and disparities; False after the timeout."""
+        deadline = time.monotonic() + timeout_s
+        while min(self.received.values()) < count and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.1)
+        return min(self.received.values()) >= count
 
 
 def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[], float]:

@@ -42,7 +42,7 @@ class Restarts(Harness):
         clouds, events = self.received["points2"], []
         steps: list[Callable[[], object]] = [
             lambda: pids <= self._ready,
-            lambda: all(self._publishers[f"{side}/image_raw"].get_subscription_count() for side in ("left", "right")),
+            lambda: all(self.publishers[f"{side}/image_raw"].get_subscription_count() for side in ("left", "right")),
             lambda: self.received["points2"] > clouds,
         ]
         for step in steps:
@@ -52,7 +52,7 @@ class Restarts(Harness):
 
     def wait_until_gone(self) -> None:
         """Until DDS has forgotten the killed nodes; one that starts before would share their topics with them."""
-        self._until(lambda: not self._publishers["left/image_raw"].get_subscription_count(), time.monotonic())
+        self._until(lambda: not self.publishers["left/image_raw"].get_subscription_count(), time.monotonic())
 
     def _until(self, condition: Callable[[], object], start: float) -> None:
         sent_at = time.monotonic()

@@ -25,6 +25,9 @@ __all__ = ["CalibrationInput", "info_contents"]
 
 _TOPICS = ("left/camera_info", "right/camera_info")
 _LONGEST_WAIT_S = 0.1  # of a pair for its camera infos, while the calibration changes
+# Messages that wait for the first camera infos, of which a driver whose images fill its transport loses several: so
+# many times queue_size, and so many bytes
+_FIRST_WAIT, _FIRST_WAIT_BYTES = 4, 64 << 20
 _REMEDY_OF_LOST_INFOS = (
     "their publishers send none, or they are lost in transit: latch them (transient local), or give the driver more "
     "shared memory, as config/fastdds.xml does"
@@ -41,10 +44,11 @@ class _Waiting:
 class CalibrationInput:
     """Builds the rig of the camera infos that apply to a pair, see :class:`CalibrationHistory`.
 
-    A pair waits until both cameras have a camera info. After that it waits only while the calibration is changing, for
-    the camera infos of its stamps, a tenth of a second at most: otherwise those known apply at once. While several
-    cameras publish one topic, a pair waits for the camera infos of its own stamps, and is dropped without them: no
-    other ones tell which of the cameras it is of.
+    A pair waits until both cameras have a camera info: the newest ones, four times ``queue_size`` of them in 64 MiB, or
+    ``queue_size``. After that it waits only while the calibration is changing, for the camera infos of its stamps, a
+    tenth of a second at most: otherwise those known apply at once. While several cameras publish one topic, a pair
+    waits for the camera infos of its own stamps, and is dropped without them: no other ones tell which of the cameras
+    it is of.
 
     Args:
         node: subscribes left/camera_info and right/camera_info.
@@ -80,8 +84,16 @@ class CalibrationInput:
         """
         self._waiting.append(_Waiting((stamp_ns(left.header), stamp_ns((right or left).header)), use))
         self._release()
-        if len(self._waiting) > self._node.parameters.get(PairingConfig).queue_size:
+        if len(self._waiting) > self._limit(left):
             self._release_oldest()
+
+    def _limit(self, message: Any) -> int:
+        """Of those that wait."""
+        queue_size = self._node.parameters.get(PairingConfig).queue_size
+        if self._infos.is_known:
+            return queue_size
+        size = len(getattr(message, "image", message).data)  # of a DisparityImage that of its image
+        return max(queue_size, min(_FIRST_WAIT * queue_size, _FIRST_WAIT_BYTES // max(1, size)))
 
     @property
     def right_contents(self) -> tuple[Any, ...] | None:
