@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from stereo_depth_ros.cli.options import Overwrite, new_app
-from stereo_depth_ros.cli.output import messages, progress_bar, warn
+from stereo_depth_ros.cli.output import progress_bar, tell, warn
 from stereo_depth_ros.datasets.dataset import StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.images import ImagesDataset
@@ -123,4 +123,4 @@ def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bo
     for text in getattr(dataset, "warnings", []):
         warn(text)
     skipped = getattr(dataset, "skipped", 0)
-    messages.print(f"{count} pairs written to {output}" + (f", {skipped} images skipped" if skipped else ""))
+    tell(f"{count} pairs written to {output}" + (f", {skipped} images skipped" if skipped else ""))

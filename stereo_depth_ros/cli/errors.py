@@ -36,7 +36,7 @@ def error_text(error: StereoDepthError | OSError, options: Collection[str] | Non
         return ": ".join(str(part) for part in parts if part)
     found = [option for name in error.settings if (option := _option(name, options))]
     text = f"{error} ({', '.join(found)})" if found else str(error)
-    return " ".join(text.splitlines())
+    return " ".join(text.split("\n"))
 
 
 def given_value(error: Any) -> str:

@@ -18,7 +18,7 @@ from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.cli.errors import command_options, error_text
 from stereo_depth_ros.cli.evaluate_tables import evaluate_tables
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
-from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, messages, parameter_files, progress_bar, show, warn
+from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progress_bar, show, tell, warn
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config
@@ -99,7 +99,7 @@ def evaluate(
     for error in skipped:
         warn(error_text(error, command_options(context.command)))
     if skipped:
-        messages.print(f"error: {len(skipped)} skipped: see the warnings above")
+        tell(f"error: {len(skipped)} skipped: see the warnings above")
         raise typer.Exit(EXIT_INCOMPLETE)
 
 
