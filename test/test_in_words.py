@@ -49,7 +49,7 @@ def test_what_stands_in_the_place_of_a_file(read: object, tmp_path: Path, monkey
     assert "what its path names as a folder is a file" in refused(read, tmp_path / "file" / "below")
     assert "its name is too long" in refused(read, tmp_path / ("n" * 300))
     (tmp_path / "circle").symlink_to("circle")
-    assert "its links lead in a circle" in refused(read, tmp_path / "circle")
+    assert "its links form a circle" in refused(read, tmp_path / "circle")
 
     def forbidden(*_: object, **__: object) -> None:  # the permissions of files do not count for root
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), "file")

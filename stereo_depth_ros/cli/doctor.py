@@ -13,9 +13,11 @@ from rich.text import Text
 
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.cli.errors import param_options
+from stereo_depth_ros.cli.given import is_given, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Left, Overwrite, Right, new_app
 from stereo_depth_ros.cli.output import progress_bar, show
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
+from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.diagnosis.doctor import diagnose
 from stereo_depth_ros.diagnosis.finding import Level
@@ -39,6 +41,7 @@ _SHOWN = {
 
 @app.command()
 def doctor(
+    context: typer.Context,
     bag: Annotated[
         Path | None,
         typer.Argument(metavar="BAG", help="Examine this bag: an MCAP or .db3 file, or a rosbag2 folder."),
@@ -75,7 +78,11 @@ def doctor(
       stereo-depth doctor --live --left-namespace stereo/left --right-namespace stereo/right --seconds 10
     """
     if live == (bag is not None):
-        raise typer.BadParameter("give a BAG, or --live for the running graph", param_hint="BAG")
+        raise ConfigError(
+            "both BAG and --live are given" if live else "neither BAG nor --live is given",
+            remedy="give a BAG, or --live for the running graph",
+        )
+    _check_options(context, live)
     check_outputs((), bag_files(bag) if bag is not None else (), reports=[json_file], overwrite=overwrite)
     if bag is not None:
         with progress_bar("reading") as progress:
@@ -89,6 +96,15 @@ def doctor(
         raise typer.Exit(_EXIT_ERROR)
     if diagnosis.skipped:
         raise typer.Exit(_EXIT_SKIPPED)
+
+
+def _check_options(context: typer.Context, live: bool) -> None:
+    if not live:
+        refuse_ignored(context, ("seconds", "left_namespace", "right_namespace"), "with a bag", "leave it out")
+    for side in ("left", "right"):
+        if is_given(context, side):
+            remedy = "give the topic or the namespace"
+            refuse_ignored(context, [f"{side}_namespace"], f"beside --{side}, which is the whole topic", remedy)
 
 
 def _listen(

@@ -13,6 +13,7 @@ import typer
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli.errors import param_options
+from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import show, warn
 from stereo_depth_ros.cli.tables import TextTable, facts_table
@@ -43,6 +44,7 @@ _AGREE_PX = 3.0  # matches whose row error differs more from the median are outl
 
 @app.command()
 def rectify(
+    context: typer.Context,
     left: Annotated[Path, typer.Argument(metavar="LEFT", help="Read this raw image of the left camera.")],
     right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Read this raw image of the right camera.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Write the files to this folder.")],
@@ -86,6 +88,9 @@ def rectify(
         raise ConfigError(
             "neither --rig nor --uncalibrated is given", remedy="give the calibration, or rectify without one"
         )
+    refuse_files("--output", output)
+    if method is None:
+        refuse_ignored(context, ["alpha"], "without --method", "add --method, such as textbook")
     if uncalibrated and method is not None:
         raise ConfigError(
             f"--method {method} needs a calibration, --uncalibrated does not use one", remedy="give one of the options"
