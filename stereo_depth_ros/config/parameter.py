@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 
 from stereo_depth_ros.config.matchers import MATCHERS, matchers_with
 from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.in_words import kind_in_words
+from stereo_depth_ros.core.quoted import quoted
 
 __all__ = ["Checked", "ParameterInfo", "parameter", "parameter_infos", "replace_checked", "unknown_parameter"]
 

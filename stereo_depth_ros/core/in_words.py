@@ -33,7 +33,7 @@ _SYSTEM: Mapping[int, str] = {
 
 
 def in_words(error: BaseException) -> str:
-    """The cause that an error of the system states, as a clause such as "it is a folder"; else the text of the error."""
+    """The cause that an error of the system states, a clause such as "it is a folder"; the text of other errors."""
     if not isinstance(error, OSError) or not error.errno or not error.strerror:
         return str(error)
     return _SYSTEM.get(error.errno, f"the system says {error.strerror[:1].lower()}{error.strerror[1:]}")
