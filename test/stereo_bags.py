@@ -20,7 +20,7 @@ from stereo_depth_ros.synthetic.bag import write_synthetic_bag
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 WIDTH, HEIGHT = 200, 150
-PARAMETERS = {"disparity_range": 32, "correlation_window_size": 9, "speckle_size": 20}
+PARAMETERS = {"disparity_range": 32, "speckle_size": 20}
 
 
 def sequence(frames: int) -> SyntheticSequence:

@@ -60,8 +60,7 @@ def test_the_sample_bag_is_healthy_in_table_and_json(run: Run, tmp_path: Path) -
     rows = next(finding for finding in values["findings"] if finding["check"] == "rows")
     assert rows["value"] in out and rows["limit"] in out
     assert "what to do" not in out
-    lines = out.strip().splitlines()
-    assert lines[-1].split(maxsplit=1) == ["verdict", values["verdict"]]
+    assert out.splitlines()[0].split(maxsplit=1) == ["verdict", values["verdict"]]
     assert "search    --param min_disparity:=0 --param disparity_range:=48" in out
 
 
@@ -76,7 +75,8 @@ def test_a_fault_has_its_remedy_in_the_table_and_exit_code_1(run: Run, tmp_path:
     assert "error" in out and "120.054 m is outside" in out
     assert "what to do" in out
     assert "written in millimeters: multiply P[0,3] of the right camera by 0.001" in out
-    assert "not usable; baseline" in out.splitlines()[-1]
+    assert "not usable; baseline" in out.splitlines()[0]
+    assert out.index("verdict") < out.index("what to do") < out.index("120.054 m is outside")
 
 
 def test_warnings_are_exit_code_0(run: Run, tmp_path: Path) -> None:

@@ -103,7 +103,7 @@ def run(command_line: CommandLine) -> Run:
         (("process", "a.mcap", "-o", "x.mcap", "--start", "-0.5"), "--start", "-0.5"),
         (("process", "a.mcap", "-o", "x.mcap", "--start", "soon"), "--start", "soon"),
         (("synthesize", "x.mcap", "--width", "15"), "--width", "15"),
-        (("convert", "kitti", "a", "x.mcap", "--rate", "fast"), "--rate", "fast"),
+        (("convert", "images", "a", "x.mcap", "--rate", "fast"), "--rate", "fast"),
     ],
 )
 def test_an_error_of_a_value_names_it(run: Run, arguments: tuple[str, ...], option: str, value: str) -> None:

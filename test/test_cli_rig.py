@@ -77,7 +77,7 @@ def test_depth_error_above_the_limit_at_the_nearest_depth(run: Run, rig_file: Pa
 )
 def test_wrong_values(run: Run, rig_file: Path, arguments: tuple[str, str], text: str) -> None:
     code, _, err = run(rig_file, *arguments)
-    assert code == 1
+    assert code == 2
     assert text in " ".join(err.split())
 
 

@@ -85,6 +85,6 @@ def test_only_options_of_the_command_are_named() -> None:
 def test_an_error_is_one_line_without_an_error_number() -> None:
     assert error_line(TopicError("two\nlines")) == "error: two lines"
     assert error_line(FileNotFoundError(2, "No such file or directory", "a.yaml")) == (
-        "error: a.yaml: No such file or directory"
+        "error: a.yaml: it does not exist"
     )
     assert error_line(OSError("odd")) == "error: odd"

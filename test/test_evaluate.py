@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,11 @@ def rows_of(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def test_scenes_times_methods_as_table_json_csv_and_plots(run: Run, tmp_path: Path) -> None:
+def test_scenes_times_methods_as_table_json_csv_and_plots(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "dumb")  # of 80 columns
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     write_scene(tmp_path / "data" / "one")
     write_scene(tmp_path / "data" / "set" / "two", seed=2)
     report, sheet, plots = tmp_path / "r.json", tmp_path / "r.csv", tmp_path / "plots"
@@ -163,15 +168,17 @@ def test_matcher_that_rejects_a_scene_is_skipped_there(run: Run, tmp_path: Path)
 def test_errors_before_anything_runs_are_one_line(run: Run, tmp_path: Path) -> None:
     write_scene(tmp_path / "one")
 
-    def error(*arguments: object) -> str:
+    def error(*arguments: object, usage: bool = False) -> str:
         code, out, err = run(*arguments)
-        assert (code, out) == (1, "") and err.startswith("error: ") and err.count("\n") == 1
+        assert (code, out) == (2 if usage else 1, "") and err.startswith("error: ") and err.count("\n") == 1
         return err
 
-    assert "unknown matcher 'best': known are bm (0)" in error(tmp_path / "one", "--matcher", "best")
-    assert "did you mean 'speckle_size'" in error(tmp_path / "one", "--matcher", "bm", "-p", "speckle_siz:=3")
+    assert "unknown matcher 'best': known are bm (0)" in error(tmp_path / "one", "--matcher", "best", usage=True)
+    assert "did you mean 'speckle_size'" in error(
+        tmp_path / "one", "--matcher", "bm", "-p", "speckle_siz:=3", usage=True
+    )
     assert "P2 = 100 is not above P1" in error(
-        tmp_path / "one", "--matcher", "sgbm", "-p", "P1:=200.0", "-p", "P2:=100.0"
+        tmp_path / "one", "--matcher", "sgbm", "-p", "P1:=200.0", "-p", "P2:=100.0", usage=True
     )
     assert "none: does not exist" in error(tmp_path / "none", "--matcher", "bm")
     (tmp_path / "empty").mkdir()

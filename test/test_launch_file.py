@@ -237,9 +237,12 @@ def test_a_container_is_answered_with_a_word(entities: list[Any]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"disparity_range": "abc"}, "parameter disparity_range = 'abc' has type str, expected int: write it as int"),
+        (
+            {"disparity_range": "abc"},
+            "parameter disparity_range = 'abc' is text, not a whole number: write a whole number, ",
+        ),
         ({"disparity_range": "70"}, "disparity_range = 70 is not 32 plus a multiple of 16: use 64 or 80"),
-        ({"use_color": "maybe"}, "parameter use_color = 'maybe' has type str, expected bool"),
+        ({"use_color": "maybe"}, "parameter use_color = 'maybe' is text, not true or false"),
         ({"row_error_limit": "[1"}, r"parameter row_error_limit: '\[1' is not a value"),
         ({"stereo_algorithm": "1", "P1": "500.0"}, "P2 = 400 is not above P1 = 500"),
         ({"health": "maybe"}, "argument health = 'maybe' is not one of true, false, 1, 0: use one of them"),

@@ -246,7 +246,7 @@ def test_change_that_needs_larger_images_is_reported_and_can_be_undone(running: 
         ),
         ({"foo_bar_baz": 1}, {}, ConfigError, "unknown parameter 'foo_bar_baz': see the table of parameters"),
         ({"queue_size": 0}, {}, ConfigError, r"queue_size = 0 is outside 1\.\.1000: set it inside"),
-        ({"queue_size": "'5'"}, {}, ConfigError, "queue_size = '5' has type str, expected int"),
+        ({"queue_size": "'5'"}, {}, ConfigError, "queue_size = '5' is text, not a whole number"),
         ({"image_transport": "theora"}, {}, ConfigError, "'theora' is not one of raw, compressed"),
         (
             {"qos_overrides./left/image_rect.subscription.reliability": "relable"},

@@ -121,14 +121,14 @@ def test_links_are_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     # an attacker guessed the temporary name and put a link there
     monkeypatch.setattr(output_files.secrets, "token_hex", lambda count: "guessed")
     (tmp_path / ".guessed.partial").symlink_to("good")
-    with pytest.raises(OutputError, match="File exists"):
+    with pytest.raises(OutputError, match="it exists already: write to another file"):
         write_file(tmp_path / "b", "new")
     assert (tmp_path / "good").read_text() == "good"
 
 
 def test_full_disk_is_reported_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("old")
-    text = r"/a: cannot be written: File too large: free space on the disk"
+    text = r"/a: cannot be written: the file is too large for the disk: free space on the disk"
     with pytest.raises(OutputError, match=text), small_disk():
         write_file(tmp_path / "a", b"1" * 20_000, overwrite=True)
     assert names(tmp_path) == ["a"]
@@ -139,12 +139,12 @@ def test_device_is_written_directly() -> None:
     write_file(Path(os.devnull), "text", overwrite=True)
     assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
     check_outputs((), reports=[Path(os.devnull), Path(os.devnull)])
-    with pytest.raises(OutputError, match=r"/dev/full: cannot be written: No space .*: free space on the disk"):
+    with pytest.raises(OutputError, match=r"/dev/full: cannot be written: the disk is full: free space on the disk"):
         write_file(Path("/dev/full"), "text")
 
 
 def test_folders_are_created_with_make_folders_only(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="No such file or directory"):
+    with pytest.raises(OutputError, match="it does not exist"):
         write_file(tmp_path / "x" / "y" / "a", "text")
     write_file(tmp_path / "x" / "y" / "a", "text", make_folders=True)
     assert (tmp_path / "x" / "y" / "a").read_text() == "text"
@@ -177,7 +177,7 @@ def test_outputs_are_checked_before_anything_is_written(tmp_path: Path) -> None:
         ),
         ([tmp_path / "a"], [tmp_path / "x" / ".." / "a"], "folder .* does not exist"),
         ([tmp_path / "a"], [tmp_path / "a"], "a: two outputs have this name: give each a different name"),
-        ([tmp_path / ("a" * 300)], [], "File name too long"),
+        ([tmp_path / ("a" * 300)], [], "its name is too long"),
         ([Path("/proc/none/a")], [], "/proc/none/a: cannot be written"),
     ):
         with pytest.raises(OutputError, match=text):

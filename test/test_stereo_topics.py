@@ -83,7 +83,7 @@ def test_given_names_are_used() -> None:
 @pytest.mark.parametrize(
     ("names", "left", "right", "match"),
     [
-        ([], None, None, r"no stereo pair among the image topics none: name both image topics"),
+        ([], None, None, r"no image topics: record sensor_msgs/Image or"),
         (["/a", "/b"], None, None, r"no stereo pair among the image topics /a, /b: name both"),
         (["/left/a", "/right/b"], None, None, r"no stereo pair among the image topics /left/a, /right/b"),
         (["/left/a", "/right/a/compressed"], None, None, "no stereo pair"),

@@ -17,6 +17,7 @@ INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _VIDEO = {"CompressedVideo", "FFMPEGPacket"}  # message types of foxglove and ffmpeg_image_transport
+_NO_IMAGES = "record sensor_msgs/Image or CompressedImage of both cameras"
 _REMEDY = "name both image topics"
 _VIDEO_REMEDY = "decode it by ros2 run image_transport republish, and use the raw or compressed topics"
 _SETTINGS = ("left", "right")
@@ -89,7 +90,7 @@ def _check_image(name: str | None, topics: Mapping[str, str], images: Mapping[st
     if name is None or name in images:
         return
     problem = f"topic {name} is {topics[name]}, not an image" if name in topics else f"no topic {name}"
-    remedy = f"choose among the image topics {_listed(images)}"
+    remedy = f"choose among the image topics {', '.join(sorted(images))}" if images else _NO_IMAGES
     if _is_video(topics.get(name, "")):
         remedy = _VIDEO_REMEDY
     raise TopicError(problem, value=name, limit=sorted(images), remedy=remedy, settings=_SETTINGS)
@@ -129,9 +130,9 @@ def _best(candidates: list[StereoTopics], images: Mapping[str, str], given: str 
     if not ranked:
         wanted = f"no partner for {given}" if given else "no stereo pair"
         raise TopicError(
-            f"{wanted} among the image topics {_listed(images)}",
+            f"{wanted} among the image topics {', '.join(sorted(images))}" if images else "no image topics",
             value=sorted(images),
-            remedy=_REMEDY,
+            remedy=_REMEDY if images else _NO_IMAGES,
             settings=_SETTINGS,
         )
     equal = [pair for pair in ranked if _rank(pair) == _rank(ranked[0])]
@@ -218,7 +219,3 @@ def _common_words(one: str, other: str) -> int:
 
 def _words(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name)]
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(sorted(names)) or "none"

@@ -18,6 +18,7 @@ from stereo_depth_ros.calibration.projection import MODELS, check_model
 from stereo_depth_ros.calibration.stereo_calibration import calibrate as calibrate_rig
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
 from stereo_depth_ros.cli.calibrate_tables import calibrate_tables, calibrate_values
+from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import progress_bar, show, warn
 from stereo_depth_ros.core.errors import CalibrationError, OutputError
@@ -35,6 +36,7 @@ _LISTED = 5  # names listed in one warning
 
 @app.command()
 def calibrate(
+    context: typer.Context,
     place: Annotated[
         Path, typer.Argument(metavar="BAG|DIR", help="Read this raw stereo bag, or this folder of images.")
     ],
@@ -102,6 +104,13 @@ def calibrate(
       stereo-depth calibrate drive.mcap --board aprilgrid --size 6x6 --square 0.088 --model equidistant -o calibration
       stereo-depth calibrate images --board charuco --size 8x11 --square 0.03 --marker 0.022 -o out --json -
     """
+    if board != "charuco":
+        refuse_ignored(
+            context, ("marker", "dictionary"), f"with --board {board}", "leave it out, or add --board charuco"
+        )
+    if board != "aprilgrid":
+        refuse_ignored(context, ["spacing"], f"with --board {board}", "leave it out, or add --board aprilgrid")
+    refuse_files("--output", output)
     counts = parse_board_size(size)
 
     def board_of_size(counts: tuple[int, int]) -> Board:

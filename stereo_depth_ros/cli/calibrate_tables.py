@@ -8,12 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
-
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.view_finder import FoundViews
-from stereo_depth_ros.cli.tables import facts_table, plain_table
+from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 
 __all__ = ["calibrate_tables", "calibrate_values"]
 
@@ -23,7 +20,7 @@ def calibrate_values(result: StereoCalibration, found: FoundViews, output: Path)
     return {**result.to_json(), "pairs": {"total": found.pairs, **counts}, "output": str(output)}
 
 
-def calibrate_tables(result: StereoCalibration, found: FoundViews, output: Path) -> Iterator[Table]:
+def calibrate_tables(result: StereoCalibration, found: FoundViews, output: Path) -> Iterator[TextTable]:
     yield _cameras_table(result)
     yield _views_table(result)
     facts = facts_table()
@@ -37,11 +34,11 @@ def calibrate_tables(result: StereoCalibration, found: FoundViews, output: Path)
     facts.add_row("coverage", f"x {cover.x:.0%}, y {cover.y:.0%}, size {cover.size:.0%}, skew {cover.skew:.0%}")
     for number, text in enumerate(cover.missing):
         facts.add_row("to improve it" if number == 0 else "", text)
-    facts.add_row("files", escape(str(output)))
+    facts.add_row("files", str(output))
     yield facts
 
 
-def _cameras_table(result: StereoCalibration) -> Table:
+def _cameras_table(result: StereoCalibration) -> TextTable:
     table = plain_table("", "fx px:r", "fy px:r", "cx px:r", "cy px:r", "rms px:r")
     for side, camera in (("left", result.left), ("right", result.right)):
         values = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
@@ -50,8 +47,8 @@ def _cameras_table(result: StereoCalibration) -> Table:
     return table
 
 
-def _views_table(result: StereoCalibration) -> Table:
+def _views_table(result: StereoCalibration) -> TextTable:
     table = plain_table("view", "rms left px:r", "rms right px:r", "row error px:r")
     for view in result.views:
-        table.add_row(escape(view.name), f"{view.rms_left:.3f}", f"{view.rms_right:.3f}", f"{view.rms_rows:.3f}")
+        table.add_row(view.name, f"{view.rms_left:.3f}", f"{view.rms_right:.3f}", f"{view.rms_rows:.3f}")
     return table

@@ -12,7 +12,7 @@ import stereo_depth_ros.messages
 import stereo_depth_ros.stages
 import stereo_depth_ros.synthetic
 from stereo_depth_ros.cli.options import new_app
-from stereo_depth_ros.cli.output import messages, prepare_kernels
+from stereo_depth_ros.cli.output import prepare_kernels, tell
 
 __all__ = ["app"]
 
@@ -38,4 +38,4 @@ def compile_kernels() -> None:
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
     prepare_kernels()
-    messages.print("all kernels are compiled")
+    tell("all kernels are compiled")

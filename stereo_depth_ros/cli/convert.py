@@ -9,8 +9,10 @@ from typing import Annotated
 
 import typer
 
+from stereo_depth_ros.cli.given import refuse_ignored
 from stereo_depth_ros.cli.options import Overwrite, new_app
-from stereo_depth_ros.cli.output import messages, progress_bar, warn
+from stereo_depth_ros.cli.output import progress_bar, tell, warn
+from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.datasets.dataset import StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.images import ImagesDataset
@@ -26,11 +28,12 @@ app = new_app(
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Read the dataset in this folder.")]
 Output = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="Write this bag.")]
-Rate = Annotated[float, typer.Option(metavar="HZ", help="Set the pairs per second, if the dataset has no time stamps.")]
+Rate = Annotated[float, typer.Option(metavar="HZ", help="Set the pairs per second.")]
 
 
 @app.command()
 def middlebury(
+    context: typer.Context,
     folder: Folder,
     output: Output,
     calibration: Annotated[
@@ -58,6 +61,13 @@ def middlebury(
       stereo-depth convert middlebury Motorcycle-perfect motorcycle.mcap
       stereo-depth convert middlebury cones cones.mcap --focal-px 500 --baseline-m 0.16
     """
+    if (focal_px is None) != (baseline_m is None):
+        given, missing = ("--focal-px", "--baseline-m") if baseline_m is None else ("--baseline-m", "--focal-px")
+        raise ConfigError(f"{given} has no effect without {missing}", value=given, remedy="give both")
+    if focal_px is not None:
+        refuse_ignored(context, ["calibration"], "beside --focal-px and --baseline-m", "give the file or the numbers")
+    elif calibration is not None or (folder / "calib.txt").exists():
+        refuse_ignored(context, ["doffs"], "beside a calib.txt, which has it", "leave it out")
     dataset = MiddleburyDataset(
         folder, calibration_file=calibration, focal_px=focal_px, baseline_m=baseline_m, doffs=doffs
     )
@@ -65,7 +75,7 @@ def middlebury(
 
 
 @app.command()
-def kitti(folder: Folder, output: Output, rate: Rate = 10.0, overwrite: Overwrite = False) -> None:
+def kitti(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
     """Convert a KITTI sequence or benchmark.
 
     Odometry and raw sequences and the training pairs of the stereo benchmarks are read.
@@ -74,7 +84,7 @@ def kitti(folder: Folder, output: Output, rate: Rate = 10.0, overwrite: Overwrit
     Example:
       stereo-depth convert kitti dataset/sequences/00 kitti00.mcap
     """
-    _convert(KittiDataset(folder), output, rate, overwrite)
+    _convert(KittiDataset(folder), output, 10.0, overwrite)
 
 
 @app.command()
@@ -123,4 +133,4 @@ def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bo
     for text in getattr(dataset, "warnings", []):
         warn(text)
     skipped = getattr(dataset, "skipped", 0)
-    messages.print(f"{count} pairs written to {output}" + (f", {skipped} images skipped" if skipped else ""))
+    tell(f"{count} pairs written to {output}" + (f", {skipped} images skipped" if skipped else ""))

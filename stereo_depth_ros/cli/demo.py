@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from stereo_depth_ros.cli.given import refuse_files
 from stereo_depth_ros.cli.live_run import run_live
 from stereo_depth_ros.cli.options import Json, Matcher, Overwrite, Separate, new_app
 from stereo_depth_ros.cli.run_report import finish_run
@@ -41,6 +42,7 @@ def demo(
       stereo-depth demo
       stereo-depth demo --output-dir /tmp/demo --matcher sgbm
     """
+    refuse_files("--output-dir", output_dir)
     bag, output, image = _sample_bag(), output_dir / "demo.mcap", output_dir / "demo.png"
     check_outputs([output, image], [bag], reports=[json_file], overwrite=overwrite)
     options = ReplayOptions(bag=str(bag), output=str(output), overwrite=overwrite)

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
-from rich.table import Table
+from rich.text import Text
 
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.cli.errors import param_options
+from stereo_depth_ros.cli.given import is_given, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Left, Overwrite, Right, new_app
 from stereo_depth_ros.cli.output import progress_bar, show
-from stereo_depth_ros.cli.tables import facts_table, plain_table
+from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
+from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.diagnosis.doctor import diagnose
 from stereo_depth_ros.diagnosis.finding import Level
@@ -31,15 +32,16 @@ app = new_app()
 
 _EXIT_ERROR, _EXIT_SKIPPED = 1, 3
 _SHOWN = {
-    Level.OK: "[green]ok",
-    Level.SKIPPED: "[yellow]skipped",
-    Level.WARNING: "[yellow]warning",
-    Level.ERROR: "[red]error",
+    Level.OK: ("ok", "green"),
+    Level.SKIPPED: ("skipped", "yellow"),
+    Level.WARNING: ("warning", "yellow"),
+    Level.ERROR: ("error", "red"),
 }
 
 
 @app.command()
 def doctor(
+    context: typer.Context,
     bag: Annotated[
         Path | None,
         typer.Argument(metavar="BAG", help="Examine this bag: an MCAP or .db3 file, or a rosbag2 folder."),
@@ -76,7 +78,11 @@ def doctor(
       stereo-depth doctor --live --left-namespace stereo/left --right-namespace stereo/right --seconds 10
     """
     if live == (bag is not None):
-        raise typer.BadParameter("give a BAG, or --live for the running graph", param_hint="BAG")
+        raise ConfigError(
+            "both BAG and --live are given" if live else "neither BAG nor --live is given",
+            remedy="give a BAG, or --live for the running graph",
+        )
+    _check_options(context, live)
     check_outputs((), bag_files(bag) if bag is not None else (), reports=[json_file], overwrite=overwrite)
     if bag is not None:
         with progress_bar("reading") as progress:
@@ -92,6 +98,15 @@ def doctor(
         raise typer.Exit(_EXIT_SKIPPED)
 
 
+def _check_options(context: typer.Context, live: bool) -> None:
+    if not live:
+        refuse_ignored(context, ("seconds", "left_namespace", "right_namespace"), "with a bag", "leave it out")
+    for side in ("left", "right"):
+        if is_given(context, side):
+            remedy = "give the topic or the namespace"
+            refuse_ignored(context, [f"{side}_namespace"], f"beside --{side}, which is the whole topic", remedy)
+
+
 def _listen(
     left: str | None, right: str | None, left_namespace: str, right_namespace: str, seconds: float
 ) -> StereoSetup:
@@ -104,12 +119,16 @@ def _listen(
         return survey_graph(left_names, right_names, seconds, progress)
 
 
-def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
-    """All findings, the remedies of faults and warnings, and the verdict."""
-    findings = plain_table("check", "verdict", "found", "limit")
-    for finding in diagnosis.findings:
-        findings.add_row(finding.check, _SHOWN[finding.level], escape(finding.value), escape(finding.limit))
-    yield findings
+def _tables(diagnosis: Diagnosis) -> Iterator[TextTable]:
+    """The verdict, the remedies of faults and warnings, and all findings."""
+    facts = facts_table()
+    setup = diagnosis.setup
+    facts.add_row("verdict", diagnosis.verdict)
+    facts.add_row("images", f"{setup.left.image_topic}, {setup.right.image_topic}")
+    facts.add_row("examined", f"{len(setup.pairs)} pairs of {setup.source}")
+    if diagnosis.search:
+        facts.add_row("search", param_options(diagnosis.search))
+    yield facts
     remedies: dict[str, list[str]] = {}
     for finding in sorted(diagnosis.findings, key=lambda finding: -finding.level):
         if finding.level is not Level.OK and finding.remedy:
@@ -118,13 +137,10 @@ def _tables(diagnosis: Diagnosis) -> Iterator[Table]:
     if remedies:
         table = plain_table("check", "remedy", title="what to do")
         for remedy, checks in remedies.items():
-            table.add_row(escape(", ".join(checks)), escape(remedy))
+            table.add_row(", ".join(checks), remedy)
         yield table
-    facts = facts_table()
-    setup = diagnosis.setup
-    facts.add_row("images", f"{setup.left.image_topic}, {setup.right.image_topic}")
-    facts.add_row("examined", f"{len(setup.pairs)} pairs of {setup.source}")
-    if diagnosis.search:
-        facts.add_row("search", param_options(diagnosis.search))
-    facts.add_row("verdict", escape(diagnosis.verdict))
-    yield facts
+    findings = plain_table("check", "verdict", "found", "limit")
+    for finding in diagnosis.findings:
+        word, style = _SHOWN[finding.level]
+        findings.add_row(finding.check, Text(word, style=style), finding.value, finding.limit)
+    yield findings

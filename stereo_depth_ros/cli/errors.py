@@ -9,6 +9,7 @@ from typing import Any
 
 from stereo_depth_ros.config import CONFIGS, parameter_infos
 from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.in_words import in_words
 
 __all__ = ["command_options", "error_line", "error_text", "given_value", "param_options"]
 
@@ -32,11 +33,10 @@ def error_text(error: StereoDepthError | OSError, options: Collection[str] | Non
         options: options of the command, others are not named; None allows all.
     """
     if isinstance(error, OSError):
-        parts = (error.filename, error.strerror or str(error))
-        return ": ".join(str(part) for part in parts if part)
+        return ": ".join(str(part) for part in (error.filename, in_words(error)) if part)
     found = [option for name in error.settings if (option := _option(name, options))]
     text = f"{error} ({', '.join(found)})" if found else str(error)
-    return " ".join(text.splitlines())
+    return " ".join(text.split("\n"))
 
 
 def given_value(error: Any) -> str:

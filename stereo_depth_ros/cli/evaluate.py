@@ -17,12 +17,13 @@ import typer
 from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.cli.errors import command_options, error_text
 from stereo_depth_ros.cli.evaluate_tables import evaluate_tables
+from stereo_depth_ros.cli.given import given_parameters, refuse_files
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
-from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, messages, parameter_files, progress_bar, show, warn
+from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progress_bar, show, tell, warn
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.matchers import MATCHERS
-from stereo_depth_ros.config.values import parse_assignments, pipeline_config
-from stereo_depth_ros.core.errors import BagError, StereoDepthError
+from stereo_depth_ros.config.values import pipeline_config
+from stereo_depth_ros.core.errors import BagError, ConfigError, StereoDepthError
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
 from stereo_depth_ros.evaluation.evaluator import Evaluation
 from stereo_depth_ros.evaluation.evaluator import evaluate as evaluate_matcher
@@ -81,7 +82,8 @@ def evaluate(
       stereo-depth evaluate middlebury eth3d --matcher bm --matcher sgbm --json scores.json --plots out
       stereo-depth evaluate room.mcap --matcher sgbm --param disparity_range:=128 --param P1:=100
     """
-    values = parse_assignments(param or ())
+    values = given_parameters(param or (), matcher, stages=("matching",))
+    _check_options(matcher, plots, csv_file)
     config = pipeline_config(values).matching
     for name in matcher:
         create_matcher(name, config)  # reports unknown matchers and invalid parameters before anything runs
@@ -99,8 +101,16 @@ def evaluate(
     for error in skipped:
         warn(error_text(error, command_options(context.command)))
     if skipped:
-        messages.print(f"error: {len(skipped)} skipped: see the warnings above")
+        tell(f"error: {len(skipped)} skipped: see the warnings above")
         raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def _check_options(matchers: list[str], plots: Path | None, csv_file: Path | None) -> None:
+    refuse_files("--plots", plots)
+    if repeated := [name for name, count in Counter(matchers).items() if count > 1]:
+        raise ConfigError(f"--matcher {repeated[0]} is given twice", value=repeated, remedy="give it once")
+    if str(csv_file) == "-":
+        raise ConfigError("--csv - names no file", value="-", remedy="name one, or write JSON by --json -")
 
 
 def _scenes(place: Path) -> SceneSet:

@@ -8,10 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rich.markup import escape
-from rich.table import Table
-
-from stereo_depth_ros.cli.tables import facts_table, plain_table
+from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 
 __all__ = ["evaluate_tables"]
 
@@ -35,7 +32,9 @@ _COSTS: Columns = {
 }
 
 
-def evaluate_tables(rows: Sequence[Mapping[str, Any]], range_given: bool, plots: Path | None = None) -> Iterator[Table]:
+def evaluate_tables(
+    rows: Sequence[Mapping[str, Any]], range_given: bool, plots: Path | None = None
+) -> Iterator[TextTable]:
     """A row for each scene and method, the means of each method, and the definitions of the figures."""
     yield _scenes_table(rows)
     yield _means_table(rows, "mean errors", _ERRORS)
@@ -50,24 +49,22 @@ def evaluate_tables(rows: Sequence[Mapping[str, Any]], range_given: bool, plots:
     facts.add_row("ms per Mdisp", "milliseconds for a million disparities, pixels times disparity_range")
     facts.add_row("confidence", "area under the bad 1 curve, pixels in order of confidence, relative to a random order")
     masked = list(dict.fromkeys(row["scene"] for row in rows if row["occlusion"] == "mask"))
-    given = f"; {escape(', '.join(masked))}: mask of the dataset" if masked else ""
+    given = f"; {', '.join(masked)}: mask of the dataset" if masked else ""
     facts.add_row("occlusion", f"computed from the true disparities{given}")
     if plots is not None:
-        facts.add_row("plots", escape(str(plots)))
+        facts.add_row("plots", str(plots))
     yield facts
 
 
-def _scenes_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+def _scenes_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     columns = _SCENE_COLUMNS
     table = plain_table("scene", "matcher", *_narrow(columns))
     for row in rows:
-        table.add_row(
-            escape(row["scene"]), row["matcher"], *(_figure(row[key], factor) for key, factor in columns.values())
-        )
+        table.add_row(row["scene"], row["matcher"], *(_figure(row[key], factor) for key, factor in columns.values()))
     return table
 
 
-def _means_table(rows: Sequence[Mapping[str, Any]], title: str, columns: Columns) -> Table:
+def _means_table(rows: Sequence[Mapping[str, Any]], title: str, columns: Columns) -> TextTable:
     """The mean of each method over its scenes."""
     table = plain_table("matcher", "scenes:r", *_narrow(columns), title=title)
     for matcher in dict.fromkeys(row["matcher"] for row in rows):

@@ -11,7 +11,7 @@ from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.cli.errors import error_text
 from stereo_depth_ros.cli.info_tables import info_tables, info_values
 from stereo_depth_ros.cli.options import Bag, Json, Left, Overwrite, Right, new_app
-from stereo_depth_ros.cli.output import EXIT_ERROR, messages, show, warn
+from stereo_depth_ros.cli.output import EXIT_ERROR, show, tell, warn
 from stereo_depth_ros.files.output import check_outputs
 
 __all__ = ["app"]
@@ -38,6 +38,6 @@ def info(
     for text in found.warnings:
         warn(text)
     for problem in found.problems:
-        messages.print(f"problem: {error_text(problem)}", markup=False)
+        tell(f"problem: {error_text(problem)}")
     if not found.usable:
         raise typer.Exit(EXIT_ERROR)

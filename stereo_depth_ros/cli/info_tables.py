@@ -8,36 +8,35 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
+from rich.text import Text
 
 from stereo_depth_ros.bags.info import BagInfo
 from stereo_depth_ros.cli.errors import error_text
-from stereo_depth_ros.cli.tables import facts_table, plain_table
+from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 
 __all__ = ["info_tables", "info_values"]
 
 
-def info_tables(info: BagInfo) -> Iterator[Table]:
+def info_tables(info: BagInfo) -> Iterator[TextTable]:
     """The topics of a bag, and its stereo rig if it has one."""
     topics = plain_table("topic", "type", "messages:r", "Hz:r")
     for name, topic in info.topics.items():
-        topics.add_row(escape(name), escape(topic.msgtype), str(topic.count), f"{topic.rate_hz:.2f}")
+        topics.add_row(name, topic.msgtype, str(topic.count), f"{topic.rate_hz:.2f}")
     yield topics
     facts = facts_table()
     facts.add_row("length", f"{info.duration_s:.3f} s")
     if info.stereo is not None:
-        facts.add_row("left", escape(info.stereo.left_image))
-        facts.add_row("right", escape(info.stereo.right_image))
+        facts.add_row("left", info.stereo.left_image)
+        facts.add_row("right", info.stereo.right_image)
     if info.left_image is not None:
         image = info.left_image
-        facts.add_row("images", escape(f"{image.width}x{image.height} {image.encoding}"))
+        facts.add_row("images", f"{image.width}x{image.height} {image.encoding}")
     if info.rig is not None:
         facts.add_row("rig", f"f {info.rig.f_px:.1f} px, baseline {1e3 * info.rig.baseline_m:.1f} mm")
     facts.add_row(
         "pairs", f"{info.exact_pairs} with equal stamps, {info.near_pairs} within {1e3 * info.tolerance_s:g} ms"
     )
-    facts.add_row("usable for stereo depth", "[green]yes" if info.usable else "[red]no")
+    facts.add_row("usable for stereo depth", Text("yes", style="green") if info.usable else Text("no", style="red"))
     yield facts
 
 

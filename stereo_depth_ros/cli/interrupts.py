@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from stereo_depth_ros.core.interrupts import SIGNALS, handled_signals
+from stereo_depth_ros.core.printable import printable
 from stereo_depth_ros.files.output import OutputFile, recorded_outputs
 
 __all__ = ["EXIT_INTERRUPTED", "interrupts_end_the_command"]
@@ -58,5 +59,5 @@ def _tell(outputs: Sequence[OutputFile]) -> None:
     removed = [str(output.path) for output in outputs if not output.complete]
     parts = [f"{', '.join(complete)} complete"] if complete else []
     parts += [f"incomplete {', '.join(removed)} removed"] if removed else []
-    sys.stderr.write(f"interrupted: {'; '.join(parts) or 'nothing was written'}\n")
+    sys.stderr.write(f"interrupted: {printable('; '.join(parts) or 'nothing was written')}\n")
     sys.stderr.flush()

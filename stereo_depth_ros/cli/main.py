@@ -20,7 +20,8 @@ from stereo_depth_ros.cli.errors import command_options, error_line, given_value
 from stereo_depth_ros.cli.interrupts import interrupts_end_the_command
 from stereo_depth_ros.cli.shell import require_known_shell
 from stereo_depth_ros.cli.stdout import finish_stdout, own_stdout
-from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.errors import ConfigError, StereoDepthError
+from stereo_depth_ros.core.printable import printable
 
 __all__ = ["COMMANDS", "app", "main"]
 
@@ -117,8 +118,8 @@ def main() -> None:
             finally:
                 finish_stdout()
     except (StereoDepthError, OSError) as error:
-        print(error_line(error, _called_options(sys.argv[1:])), file=sys.stderr)
-        sys.exit(1)
+        print(printable(error_line(error, _called_options(sys.argv[1:]))), file=sys.stderr)
+        sys.exit(2 if isinstance(error, ConfigError) else 1)
 
 
 def _called_options(arguments: Sequence[str]) -> set[str]:

@@ -7,11 +7,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from rich.table import Table
-
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import show
-from stereo_depth_ros.cli.tables import plain_table
+from stereo_depth_ros.cli.tables import TextTable, plain_table
 from stereo_depth_ros.config import CONFIGS, parameter_infos
 from stereo_depth_ros.files.output import check_outputs
 
@@ -32,13 +30,12 @@ def parameters(json_file: Json = None, overwrite: Overwrite = False) -> None:
     show([_table()], _values(), json_file, overwrite=overwrite)
 
 
-def _table() -> Table:
+def _table() -> TextTable:
     """A row for each parameter, a section for each stage."""
     table = plain_table("parameter", "default:r", "range", "meaning")
     for stage in CONFIGS.values():
         for info in parameter_infos(stage):
             table.add_row(info.name, str(info.default), info.range_text, info.doc)
-        table.add_section()
     return table
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
+from stereo_depth_ros.cli.given import given_parameters
 from stereo_depth_ros.cli.options import (
     Bag,
     BagOutput,
@@ -25,7 +26,7 @@ from stereo_depth_ros.cli.options import (
 from stereo_depth_ros.cli.output import parameter_files, prepare_kernels, progress_bar
 from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.run_report import finish_run
-from stereo_depth_ros.config.values import parse_assignments, pipeline_config
+from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.offline.engine import process_bag
 
 __all__ = ["app"]
@@ -57,7 +58,8 @@ def process(
       stereo-depth process drive.mcap -o depth.mcap
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
     """
-    values = {**read_parameters(params_file), **parse_assignments(param or (), matcher)}
+    file = read_parameters(params_file)
+    values = {**file, **given_parameters(param or (), matcher, file=file)}
     check_bag_output(
         output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
     )

@@ -10,14 +10,13 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.markup import escape
-from rich.table import Table
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.cli.errors import param_options
+from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import show, warn
-from stereo_depth_ros.cli.tables import facts_table
+from stereo_depth_ros.cli.tables import TextTable, facts_table
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
@@ -45,6 +44,7 @@ _AGREE_PX = 3.0  # matches whose row error differs more from the median are outl
 
 @app.command()
 def rectify(
+    context: typer.Context,
     left: Annotated[Path, typer.Argument(metavar="LEFT", help="Read this raw image of the left camera.")],
     right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Read this raw image of the right camera.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Write the files to this folder.")],
@@ -88,6 +88,9 @@ def rectify(
         raise ConfigError(
             "neither --rig nor --uncalibrated is given", remedy="give the calibration, or rectify without one"
         )
+    refuse_files("--output", output)
+    if method is None:
+        refuse_ignored(context, ["alpha"], "without --method", "add --method, such as textbook")
     if uncalibrated and method is not None:
         raise ConfigError(
             f"--method {method} needs a calibration, --uncalibrated does not use one", remedy="give one of the options"
@@ -212,7 +215,7 @@ def _error(rows: dict[str, float | None]) -> str:
     return "unknown" if rows["median_px"] is None else f"{rows['median_px']:.2f} px"
 
 
-def _table(result: dict[str, Any]) -> Table:
+def _table(result: dict[str, Any]) -> TextTable:
     facts = facts_table()
     facts.add_row("method", result["method"])
     facts.add_row("depth", "in meters" if result["metric"] else "not in meters: only the order of depths is known")
@@ -228,5 +231,5 @@ def _table(result: dict[str, Any]) -> Table:
     else:
         area = result["common_area"]
         facts.add_row("common area", f"{area['width']}x{area['height']} px from ({area['x']}, {area['y']})")
-    facts.add_row("files", escape(result["output"]))
+    facts.add_row("files", result["output"])
     return facts

@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
+from stereo_depth_ros.cli.given import PIPELINE, given_parameters, refuse_ignored
 from stereo_depth_ros.cli.live_run import run_live
 from stereo_depth_ros.cli.options import (
     Bag,
@@ -29,7 +32,8 @@ from stereo_depth_ros.cli.options import (
 )
 from stereo_depth_ros.cli.output import parameter_files
 from stereo_depth_ros.cli.run_report import finish_run
-from stereo_depth_ros.config.values import parse_assignments
+from stereo_depth_ros.config.values import Value, parse_assignments, read_params_file
+from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.replay.options import ReplayOptions
 
 __all__ = ["app"]
@@ -39,6 +43,7 @@ app = new_app()
 
 @app.command()
 def replay(
+    context: typer.Context,
     bag: Bag,
     output: BagOutput,
     separate: Separate = False,
@@ -97,12 +102,35 @@ def replay(
         in_flight=in_flight,
         strict=strict,
     )
-    shape, values = "separate" if separate else "fused", parse_assignments(param or (), matcher)
-    monitor: Literal["", "report", "correct"] = "report" if health else ""
-    if auto_correct or values.get("auto_correct"):
-        monitor = "correct"
+    if realtime:
+        refuse_ignored(context, ["in_flight"], "with --realtime", "leave out one of them")
+    shape = "separate" if separate else "fused"
+    values, monitor = _parameters(param or (), matcher, params_file, health, auto_correct)
     check_bag_output(
         output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
     )
     result = run_live(options, shape, values, params_file, monitor)
     finish_run(result, json_file, overwrite)
+
+
+def _parameters(
+    texts: Sequence[str], matcher: str | None, params_file: Path | None, health: bool, auto_correct: bool
+) -> tuple[dict[str, Value], Literal["", "report", "correct"]]:
+    """The values given, and what the calibration monitor does."""
+    wanted = parse_assignments(texts).get("auto_correct")
+    if auto_correct and wanted is False:
+        raise ConfigError(
+            "--auto-correct and --param auto_correct:=false contradict each other", remedy="give one of them"
+        )
+    monitor: Literal["", "report", "correct"] = "report" if health else ""
+    if auto_correct or wanted:
+        monitor = "correct"
+    file = read_params_file(params_file) if params_file is not None else {}
+    values = given_parameters(
+        texts,
+        matcher,
+        file={**file, "auto_correct": monitor == "correct"},
+        stages=(*PIPELINE, "health") if monitor else PIPELINE,
+        remedies={"health": "add --health or --auto-correct"},
+    )
+    return values, monitor

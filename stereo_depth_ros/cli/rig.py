@@ -12,16 +12,17 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from stereo_depth_ros.cli.given import given_parameters, refuse_ignored, require_png
 from stereo_depth_ros.cli.options import Json, Left, Overwrite, Params, ParamsFile, Right, new_app
 from stereo_depth_ros.cli.output import parameter_files, show, warn
 from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.rig_tables import rig_tables
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.matchers import MATCHERS
-from stereo_depth_ros.config.values import parse_assignments, pipeline_config
+from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8
-from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
+from stereo_depth_ros.datasets.rig_files import is_bag_path, read_rig, rig_files
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.geometry.depth_range import (
     Precision,
@@ -42,10 +43,12 @@ app = new_app()
 
 _BASELINES = (0.5, 1.0, 2.0)  # relative to that of the rig
 _PLOT_POINTS = 300
+_USED = ("stereo_algorithm", "min_disparity", "disparity_range", "disparity_sigma_px")
 
 
 @app.command()
 def rig(
+    context: typer.Context,
     paths: Annotated[
         list[Path],
         typer.Argument(metavar="LEFT.yaml RIGHT.yaml|DIR|BAG", help="Read these camera files, their folder, or a bag."),
@@ -88,9 +91,13 @@ def rig(
       stereo-depth rig calibration --nearest 0.4 --max-error 2 --plot error.png
       stereo-depth rig drive.mcap --param disparity_range:=128 --param disparity_sigma_px:=0.1 --json - | jq .limits
     """
-    values = {**read_parameters(params_file), **parse_assignments(param or (), matcher)}
+    file = read_parameters(params_file)
+    values = {**file, **given_parameters(param or (), matcher, file=file, stages=(), names=_USED)}
+    if not is_bag_path(paths):
+        refuse_ignored(context, ("left", "right"), "with camera files", "leave it out, or give a bag")
     inputs = [*rig_files(paths), *parameter_files(params_file, values)]
     check_outputs([plot] if plot is not None else [], inputs, reports=[json_file], overwrite=overwrite)
+    require_png("--plot", plot)
     rig = read_rig(paths, left, right)
     config = pipeline_config(values)
     step_px = matcher_from_config(config.matching).step_px

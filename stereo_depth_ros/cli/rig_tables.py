@@ -7,11 +7,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
-
 from stereo_depth_ros.cli.errors import param_options
-from stereo_depth_ros.cli.tables import facts_table, plain_table
+from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 
 __all__ = ["rig_tables"]
 
@@ -19,7 +16,7 @@ _MAX_ROWS = 30  # of the depth table; the JSON has all depths
 _VIEWS = {"raw_left": "raw, left", "raw_right": "raw, right", "rectified": "rectified"}
 
 
-def rig_tables(result: Mapping[str, Any], search_given: bool) -> Iterator[Table]:
+def rig_tables(result: Mapping[str, Any], search_given: bool) -> Iterator[TextTable]:
     """Fields of view, ranges, depth errors and recommended parameters, from the JSON values."""
     yield _view_table(result["field_of_view"])
     yield _limits_table(result)
@@ -27,7 +24,7 @@ def rig_tables(result: Mapping[str, Any], search_given: bool) -> Iterator[Table]
     yield _summary(result, search_given)
 
 
-def _view_table(views: Mapping[str, Mapping[str, float | None]]) -> Table:
+def _view_table(views: Mapping[str, Mapping[str, float | None]]) -> TextTable:
     table = plain_table("image", "horizontal:r", "vertical:r", "diagonal:r", title="field of view, degrees")
     for side, name in _VIEWS.items():
         table.add_row(
@@ -36,7 +33,7 @@ def _view_table(views: Mapping[str, Mapping[str, float | None]]) -> Table:
     return table
 
 
-def _limits_table(result: Mapping[str, Any]) -> Table:
+def _limits_table(result: Mapping[str, Any]) -> TextTable:
     percent = 100 * result["precision"]["max_error"]
     title = "range, from the largest disparity searched to the largest error allowed"
     table = plain_table(
@@ -54,7 +51,7 @@ def _limits_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def _depths_table(depths: list[Mapping[str, float | None]]) -> Table:
+def _depths_table(depths: list[Mapping[str, float | None]]) -> TextTable:
     columns = ("depth m:r", "disparity px:r", "step mm:r", "sigma mm:r", "sigma %:r", "overlap %:r", "common width m:r")
     table = plain_table(*(column.replace(" ", "\n") for column in columns), title="depth error")
     for row in _thinned(depths):
@@ -82,10 +79,10 @@ def _thinned(depths: list[Mapping[str, float | None]]) -> list[Mapping[str, floa
     return [row for row, depth_m in zip(depths, known, strict=True) if round(depth_m / step_m) % every == 0]
 
 
-def _summary(result: Mapping[str, Any], search_given: bool) -> Table:
+def _summary(result: Mapping[str, Any], search_given: bool) -> TextTable:
     rig, search, precision, advice = (result[name] for name in ("rig", "search", "precision", "recommended"))
     facts = facts_table()
-    facts.add_row("cameras", escape(", ".join(result["cameras"])))
+    facts.add_row("cameras", ", ".join(result["cameras"]))
     facts.add_row(
         "rig",
         f"{rig['width']}x{rig['height']}, f {rig['f_px']:.1f} px, baseline {1e3 * rig['baseline_m']:.1f} mm, "
@@ -100,7 +97,7 @@ def _summary(result: Mapping[str, Any], search_given: bool) -> Table:
     facts.add_row(f"from {advice['nearest_m']:.3g} m", ", ".join(f"{name}: {advice[name]}" for name in names))
     facts.add_row("options", param_options({name: advice[name] for name in names}))
     if "plot" in result:
-        facts.add_row("plot", escape(result["plot"]))
+        facts.add_row("plot", result["plot"])
     return facts
 
 

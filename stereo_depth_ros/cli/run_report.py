@@ -9,11 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import typer
-from rich.markup import escape
-from rich.table import Table
+from rich.text import Text
 
-from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, messages, show, warn
-from stereo_depth_ros.cli.tables import facts_table, plain_table
+from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, show, tell, warn
+from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.offline.report import RunReport
 
 __all__ = ["finish_run"]
@@ -30,11 +29,11 @@ def finish_run(result: RunReport, json_file: Path | None, overwrite: bool, image
     for text in result.warnings:
         warn(text)
     if result.skipped or (result.lost and not result.realtime):
-        messages.print(f"error: {result.skipped} pairs skipped, {result.lost} outputs lost: see the warnings above")
+        tell(f"error: {result.skipped} pairs skipped, {result.lost} outputs lost: see the warnings above")
         raise typer.Exit(EXIT_INCOMPLETE)
 
 
-def _tables(result: RunReport, image: Path | None = None) -> Iterator[Table]:
+def _tables(result: RunReport, image: Path | None = None) -> Iterator[TextTable]:
     """Latency of each output, time of each stage, and a summary."""
     if result.outputs:
         yield _outputs_table(result)
@@ -43,7 +42,7 @@ def _tables(result: RunReport, image: Path | None = None) -> Iterator[Table]:
     yield _summary_table(result, image)
 
 
-def _summary_table(result: RunReport, image: Path | None) -> Table:
+def _summary_table(result: RunReport, image: Path | None) -> TextTable:
     facts = facts_table()
     facts.add_row("pairs read", str(result.pairs))
     if result.unpaired_left or result.unpaired_right:
@@ -62,26 +61,26 @@ def _summary_table(result: RunReport, image: Path | None) -> Table:
                 f"({score.truth_frames} frames, density {100 * score.density:.1f} %)",
             )
     if result.output is not None:
-        facts.add_row("bag written", escape(str(result.output)))
+        facts.add_row("bag written", str(result.output))
     if image is not None:
-        facts.add_row("image written", escape(str(image)))
+        facts.add_row("image written", str(image))
     return facts
 
 
-def _outputs_table(result: RunReport) -> Table:
+def _outputs_table(result: RunReport) -> TextTable:
     table = plain_table(
         "output", "received:r", "lost:r", "p50 ms:r", "p95 ms:r", title="latency from raw pair sent to output received"
     )
     for topic, stats in result.outputs.items():
-        lost = f"[red]{stats.lost}" if stats.lost else "0"
-        table.add_row(escape(topic), str(stats.received), lost, _ms(stats.p50_ms), _ms(stats.p95_ms))
+        lost = Text(str(stats.lost), style="red" if stats.lost else "")
+        table.add_row(topic, str(stats.received), lost, _ms(stats.p50_ms), _ms(stats.p95_ms))
     return table
 
 
-def _stages_table(result: RunReport) -> Table:
+def _stages_table(result: RunReport) -> TextTable:
     table = plain_table("stage", "p50 ms:r", "p95 ms:r", title="computing time of the stages")
     for stage, (p50, p95) in result.stages_ms.items():
-        table.add_row(escape(stage), _ms(p50), _ms(p95))
+        table.add_row(stage, _ms(p50), _ms(p95))
     return table
 
 

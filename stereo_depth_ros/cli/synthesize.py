@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from stereo_depth_ros.cli.options import Overwrite, new_app
-from stereo_depth_ros.cli.output import messages
+from stereo_depth_ros.cli.output import tell, working
 from stereo_depth_ros.synthetic.bag import write_synthetic_bag
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
@@ -34,6 +34,6 @@ def synthesize(
     Example:
       stereo-depth synthesize room.mcap --frames 50 --seed 3
     """
-    with messages.status("rendering"):
+    with working("rendering"):
         write_synthetic_bag(output, SyntheticSequence(frames, width, height, seed), overwrite=overwrite)
-    messages.print(f"{frames} pairs written to {output}")
+    tell(f"{frames} pairs written to {output}")

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from stereo_depth_ros.config.matchers import MATCHERS, matchers_with
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.in_words import kind_in_words
 from stereo_depth_ros.core.quoted import quoted
 
 __all__ = ["Checked", "ParameterInfo", "parameter", "parameter_infos", "replace_checked", "unknown_parameter"]
@@ -64,9 +65,9 @@ class ParameterInfo:
         if type(value) is not self.type:
             raise self._error(
                 value,
-                f"has type {type(value).__name__}, expected {self.type.__name__}",
-                self.type.__name__,
-                f"write it as {self.type.__name__}, for example {self.default!r}",
+                f"is {kind_in_words(type(value))}, not {kind_in_words(self.type)}",
+                kind_in_words(self.type),
+                f"write {kind_in_words(self.type)}, for example {_written(self.default)}",
             )
         if self.choices and value not in self.choices:
             raise self._error(value, f"is not one of {', '.join(self.choices)}", self.choices, "use one of them")
@@ -90,8 +91,15 @@ class ParameterInfo:
 
     def _error(self, value: Any, problem: str, limit: object, remedy: str) -> ConfigError:
         return ConfigError(
-            f"parameter {self.name} = {quoted(value)} {problem}", value=value, limit=limit, remedy=remedy
+            f"parameter {self.name} = {_written(value)} {problem}", value=value, limit=limit, remedy=remedy
         )
+
+
+def _written(value: Any) -> str:
+    """The value as it is written in YAML."""
+    if isinstance(value, bool) or value is None:
+        return {True: "true", False: "false", None: "null"}[value]
+    return quoted(value)
 
 
 _LARGEST_WHOLE = 2**53  # that a float holds exactly

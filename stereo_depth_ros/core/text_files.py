@@ -8,6 +8,7 @@ import stat
 from pathlib import Path
 
 from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.in_words import in_words
 
 __all__ = ["MAX_TEXT_BYTES", "decode_text", "read_bytes", "read_text"]
 
@@ -85,7 +86,5 @@ def _why(failure: OSError | ValueError) -> str:
         return "does not exist"
     if isinstance(failure, IsADirectoryError):
         return "is a folder, not a file"
-    if isinstance(failure, PermissionError):
-        return "cannot be read, the permission is missing"
-    reason = failure.strerror or "not a path" if isinstance(failure, OSError) else "not a path"
-    return f"cannot be read ({reason[0].lower()}{reason[1:]})"
+    reason = in_words(failure) if isinstance(failure, OSError) else "it is not a path"
+    return f"cannot be read, {reason}"

@@ -37,6 +37,15 @@ def read_rig(paths: Sequence[Path], left: str | None = None, right: str | None =
     return StereoRig.from_yaml(*cameras) if cameras else _of_bag(paths[0], left, right)
 
 
+def is_bag_path(paths: Sequence[Path]) -> bool:
+    """Whether :func:`read_rig` takes the paths for a bag.
+
+    Raises:
+        CalibrationError: files that are not there.
+    """
+    return _camera_files(paths) is None
+
+
 def rig_files(paths: Sequence[Path]) -> list[Path]:
     """The files that :func:`read_rig` reads.
 

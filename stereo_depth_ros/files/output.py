@@ -19,10 +19,9 @@ from pathlib import Path
 from types import TracebackType
 
 from stereo_depth_ros.core.errors import OutputError
+from stereo_depth_ros.core.in_words import DISK_FULL, in_words
 
 __all__ = ["OutputFile", "as_output_errors", "check_outputs", "write_file"]
-
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def check_outputs(
@@ -184,8 +183,14 @@ def as_output_errors(subject: Path | str) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        remedy = "free space on the disk" if error.errno in _DISK_FULL else "choose a writable folder"
-        raise _cannot_write(subject, error.strerror or str(error), remedy) from error
+        raise _cannot_write(subject, in_words(error), _remedy(error)) from error
+
+
+def _remedy(error: OSError) -> str:
+    if error.errno in DISK_FULL:
+        return "free space on the disk"
+    other = {errno.ENAMETOOLONG: "choose a shorter name", errno.EEXIST: "write to another file"}
+    return other.get(error.errno or 0, "choose a writable folder")
 
 
 def _check_free(path: Path, overwrite: bool) -> None:

@@ -24,6 +24,7 @@ from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.nodes.diagnostics import NodeDiagnostics
 from stereo_depth_ros.nodes.input import OVERRIDABLE_POLICIES, Input
 from stereo_depth_ros.nodes.interface import NodeInterface, transported
+from stereo_depth_ros.nodes.log import log_info
 from stereo_depth_ros.nodes.message_types import RclpyTypes, message_class
 from stereo_depth_ros.nodes.parameters import NodeParameters, parameters_of_ros
 from stereo_depth_ros.nodes.sending import send
@@ -40,7 +41,7 @@ _FOLLOW_ROUNDS = 5  # looks after an event
 def log_compilation(node: Node, number: int, total: int) -> None:
     """Log the progress of :func:`compile_kernels`."""
     text = f"compiling kernels, {number} of {total}" if number else "waiting for another process that compiles kernels"
-    node.get_logger().info(text)
+    log_info(node.get_logger(), text)
 
 
 class Output:

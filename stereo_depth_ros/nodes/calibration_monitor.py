@@ -24,6 +24,7 @@ from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput, info_contents
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.log import log_warning
 from stereo_depth_ros.nodes.message_types import message_class
 from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
@@ -141,7 +142,7 @@ class CalibrationMonitor(StereoNode):
             return
         text = _correction_text(correction)
         if correction.steps:
-            self.get_logger().warning(f"right camera corrected by {text}: calibrate again soon")
+            log_warning(self.get_logger(), f"right camera corrected by {text}: calibrate again soon")
         values = {
             **{f"{name}_deg": f"{value:.5f}" for name, value in zip(_AXES, correction.rotation_deg, strict=True)},
             "scale": f"{correction.scale:.6f}",

@@ -31,6 +31,7 @@ from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.interface import RAW_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.log import log_error, log_info
 from stereo_depth_ros.nodes.message_types import message_class
 from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.parameters import error_text
@@ -130,7 +131,7 @@ class CalibrationNode(StereoNode):
             self._report(look.value)
             if look is ViewStatus.ADDED:
                 advice = "; ".join(self._live.advice) or "enough views: call ~/calibrate"
-                self.get_logger().info(f"view {len(self._live.views)} taken; {advice}")
+                log_info(self.get_logger(), f"view {len(self._live.views)} taken; {advice}")
             if self._overlay.wanted:
                 self._publish_overlay(pair.left, grays[0], look)
 
@@ -162,9 +163,9 @@ class CalibrationNode(StereoNode):
             except StereoDepthError as error:
                 response.success, response.message = False, error_text(error)
             if response.success:
-                self.get_logger().info(response.message)
+                log_info(self.get_logger(), response.message)
             else:
-                self.get_logger().error(response.message)
+                log_error(self.get_logger(), response.message)
             return response
 
         return respond

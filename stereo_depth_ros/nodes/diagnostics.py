@@ -18,6 +18,7 @@ from rclpy.node import Node
 
 from stereo_depth_ros.core.errors import StereoDepthError
 from stereo_depth_ros.nodes.faults import QUIET_S, Faults
+from stereo_depth_ros.nodes.log import log_error, log_warning
 from stereo_depth_ros.nodes.parameters import error_text
 
 __all__ = ["NodeDiagnostics"]
@@ -68,7 +69,7 @@ class NodeDiagnostics:
             self.counters[kind] += 1
             line = self._faults.report(f"{kind} {fault}", text)
         if line:
-            self._node.get_logger().error(line)
+            log_error(self._node.get_logger(), line)
 
     def watch_loss(self, name: str, cause: Callable[[], str], count: Callable[[], int] | None = None) -> None:
         """While a count grows the level is WARN, and its growth is logged with the likely cause and the remedy.
@@ -144,7 +145,7 @@ class NodeDiagnostics:
         states = [said for state in self._states if (said := state())]
         for said in states:
             if said not in self._states_said:
-                self._node.get_logger().warning(said)
+                log_warning(self._node.get_logger(), said)
         self._states_said = set(states)
         return states
 
@@ -159,4 +160,4 @@ class NodeDiagnostics:
             causes = dict.fromkeys(self._losses[name][1]() for name in grown)
             counts = ", ".join(f"{count} {name} ({losses[name]} in all)" for name, count in grown.items())
             self._last_loss = f"{counts}: {'; '.join(causes)}"
-            self._node.get_logger().warning(self._last_loss)
+            log_warning(self._node.get_logger(), self._last_loss)

@@ -12,6 +12,7 @@ from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, MatchResult, StereoPair
 from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
 from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.log import log_warning
 
 __all__ = ["FIRST_PAIRS", "ORDER", "FirstPairsWatch"]
 
@@ -54,4 +55,4 @@ class FirstPairsWatch:
         if isinstance(fault, CalibrationError) and self._node.count_publishers(_MONITORED):
             return
         self._node.diagnostics.warning = str(fault)
-        self._node.get_logger().warning(str(fault))
+        log_warning(self._node.get_logger(), str(fault))

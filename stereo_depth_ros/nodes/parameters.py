@@ -22,6 +22,7 @@ from stereo_depth_ros.config.other_parameters import (
     without_effect_text,
 )
 from stereo_depth_ros.core.errors import ConfigError, StereoDepthError
+from stereo_depth_ros.nodes.log import log_info
 
 __all__ = ["NodeParameters", "error_text", "parameters_of_ros"]
 
@@ -60,7 +61,7 @@ class NodeParameters:
         _refuse_unknown(overrides)
         _refuse_unknown_qos(overrides)
         if text := without_effect_text(overrides):
-            node.get_logger().info(text)
+            log_info(node.get_logger(), text)
         self.on_change: Callable[[], None] = lambda: None
         self._configs: dict[type, Any] = {}
         self._checks: dict[type, Callable[[Any], object]] = {}
@@ -108,13 +109,14 @@ def parameters_of_ros() -> Iterator[None]:
 
 
 def error_text(error: StereoDepthError, parameters: Mapping[str, str] = _PARAMETERS) -> str:
-    """An error as a node reports it: with the parameters that its remedy is about.
+    """An error as a node reports it, on one line: with the parameters that its remedy is about.
 
     Args:
         parameters: name of the parameter by name of the setting.
     """
     names = [parameters[setting] for setting in error.settings if setting in parameters]
-    return f"{error} (parameter{'s' * (len(names) > 1)}: {', '.join(names)})" if names else str(error)
+    text = f"{error} (parameter{'s' * (len(names) > 1)}: {', '.join(names)})" if names else str(error)
+    return " ".join(text.split("\n"))
 
 
 def _names(config: type) -> set[str]:

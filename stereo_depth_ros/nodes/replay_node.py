@@ -29,6 +29,7 @@ from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.nodes.command_line import answer_help, start_ros
 from stereo_depth_ros.nodes.first_pairs_watch import FIRST_PAIRS, ORDER
 from stereo_depth_ros.nodes.interface import NodeInterface
+from stereo_depth_ros.nodes.log import log_fatal, log_info
 from stereo_depth_ros.nodes.parameters import error_text, parameters_of_ros
 from stereo_depth_ros.nodes.replay.graph_ports import PUBLISHED, SUBSCRIBED, GraphPorts
 from stereo_depth_ros.nodes.replay.player import Player
@@ -185,10 +186,10 @@ def _run() -> int:
             node = Node(INTERFACE.name)
         options = _declared(node, ReplayOptions)
         result = play(node, options, PipelineConfig(pairing=_declared(node, PairingConfig)))
-        node.get_logger().info(_summary(result))
+        log_info(node.get_logger(), _summary(result))
         return 3 if result.lost and not result.realtime else 0
     except StereoDepthError as error:
-        get_logger("stereo_depth_ros").fatal(error_text(error, _PARAMETERS))
+        log_fatal(get_logger("stereo_depth_ros"), error_text(error, _PARAMETERS))
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0

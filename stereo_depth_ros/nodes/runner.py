@@ -24,6 +24,7 @@ from stereo_depth_ros.core.overlap import BESIDE_WORK
 from stereo_depth_ros.nodes.base import StereoNode, log_compilation
 from stereo_depth_ros.nodes.command_line import answer_help, start_ros
 from stereo_depth_ros.nodes.interface import COMMON_OUTPUTS
+from stereo_depth_ros.nodes.log import log_fatal, log_info
 from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.readiness import announce_ready
 from stereo_depth_ros.nodes.spinning import spin_overlapped
@@ -75,14 +76,14 @@ def _run(node_type: type[StereoNode], interrupts: list[int]) -> int:
         compile_kernels(functools.partial(log_compilation, node))
         announce_ready(node)
         for line in (str(transport), *node.readiness()):
-            node.get_logger().info(line)
+            log_info(node.get_logger(), line)
         if node.frames is None:
             executor.spin()
         else:
             node.frames.begin_overlap()
             spin_overlapped(executor, node.frames.run_one, threads=LARGEST_AT_ONCE + BESIDE_WORK + 1)
     except StereoDepthError as error:
-        get_logger("stereo_depth_ros").fatal(error_text(error))
+        log_fatal(get_logger("stereo_depth_ros"), error_text(error))
         return 1
     except ExternalShutdownException:
         pass

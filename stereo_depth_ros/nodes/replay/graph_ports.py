@@ -19,6 +19,7 @@ from rosgraph_msgs.msg import Clock
 from stereo_depth_ros.bags.pairs import SerializedPair
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.nodes.interface import transported
+from stereo_depth_ros.nodes.log import log_warning
 from stereo_depth_ros.nodes.message_types import message_class
 from stereo_depth_ros.nodes.replay.recorder import Recorder
 from stereo_depth_ros.offline.report import stage_timings
@@ -167,7 +168,7 @@ class GraphPorts:
 
     def warn(self, text: str) -> None:
         """Log a warning."""
-        self._node.get_logger().warning(text)
+        log_warning(self._node.get_logger(), text)
 
     def close(self) -> None:
         """Unsubscribe, let the nodes unsubscribe too, stop the executor; the node stays the caller's.

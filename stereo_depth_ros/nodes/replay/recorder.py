@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.core.errors import OutputError
+from stereo_depth_ros.core.in_words import in_words
 
 __all__ = ["Recorder"]
 
@@ -89,4 +90,6 @@ class Recorder:
 
     def _raise_error(self) -> None:
         if self._error is not None:
-            raise OutputError(f"recording stopped: {self._error}", remedy="free space on the disk") from self._error
+            raise OutputError(
+                f"recording stopped: {in_words(self._error)}", remedy="free space on the disk"
+            ) from self._error
