@@ -22,6 +22,7 @@ _TRUE = {"y", "Y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"
 _FALSE = {"n", "N", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)")
 _LARGEST_INTEGER = 2**63
+_LONGEST_NUMBER = 200  # characters
 _SPECIAL = re.compile(r"[+-]?\.?(inf|nan)", re.IGNORECASE)
 _SECTION = re.compile(r"(/(\w+|\*{1,2}))+")
 
@@ -138,6 +139,8 @@ def _scalar(text: str, plain: bool) -> bool | int | float | str:
         return text
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
+    if len(text) > _LONGEST_NUMBER:
+        return text
     if _INTEGER.fullmatch(text):
         octal = text.lstrip("+-").startswith("0") and text.lstrip("+-").isdigit()
         number = int(text, 8 if octal else 0)

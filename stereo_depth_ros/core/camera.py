@@ -17,6 +17,9 @@ __all__ = ["MAX_PIXELS", "CameraModel", "check_calibrated", "check_intrinsics", 
 
 MAX_PIXELS = 2**26  # of an image or a camera; the largest sensors of machine vision have 65 million
 
+_LARGEST = 1e12  # of the numbers in K, D, R and P: products of them are finite
+_SHORTEST_PX = 1e-3  # focal length
+
 _K_FORM = ("K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
 _P_FORM = ("P", "[[fx, 0, cx, -fx * baseline], [0, fy, cy, 0], [0, 0, 1, 0]]")
 
@@ -157,6 +160,14 @@ def _check_finite(camera: CameraModel, label: str, *names: str) -> None:
                 limit="finite numbers",
                 remedy="calibrate again, or write numbers",
             )
+        if values.size and np.abs(values).max() > _LARGEST:
+            raise CalibrationError(
+                f"{name} has the value {values.flat[np.abs(values).argmax()]:g}, {_LARGEST:g} is the limit",
+                subject=label,
+                value=values,
+                limit=_LARGEST,
+                remedy="calibrate again",
+            )
 
 
 def _check_set(camera: CameraModel, label: str, *names: str) -> None:
@@ -172,12 +183,14 @@ def _check_set(camera: CameraModel, label: str, *names: str) -> None:
 
 def _check_form(matrix: F64, label: str, name: str, form: str) -> None:
     """Focal lengths above 0 and the zeros of a pinhole camera: OpenCV would silently ignore a skew."""
-    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+    shortest = min(matrix[0, 0], matrix[1, 1])
+    if shortest < _SHORTEST_PX:
+        limit = 0 if shortest <= 0 else _SHORTEST_PX
         raise CalibrationError(
-            f"{name} has focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px, they must be above 0",
+            f"{name} has focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px, they must be above {limit:g}",
             subject=label,
             value=(float(matrix[0, 0]), float(matrix[1, 1])),
-            limit=0,
+            limit=limit,
             remedy="calibrate",
         )
     zeros = [matrix[0, 1], matrix[1, 0], *matrix[2, :2], matrix[2, 2] - 1, *matrix[2, 3:]]

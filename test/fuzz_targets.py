@@ -1,0 +1,696 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Targets of the fuzzing: cases of each kind of input, and what is done with them; it works or raises StereoDepthError.
+
+The tests run a few cases of each with fixed seeds, `benchmarks/fuzz.py` as many as there is time for with fresh ones.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import os
+import signal
+import struct
+import sys
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+from hypothesis import strategies as st
+from mutations import mutated
+
+from stereo_depth_ros.bags.info import inspect_bag
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import read_pairs
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.cli import main as cli
+from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.core.camera_info import camera_from_info
+from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.datasets.euroc import EurocDataset
+from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
+from stereo_depth_ros.datasets.kitti import KittiDataset
+from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
+from stereo_depth_ros.datasets.npz import read_npz
+from stereo_depth_ros.diagnosis.bag_survey import survey_bag
+from stereo_depth_ros.diagnosis.checks.cameras import check_camera
+from stereo_depth_ros.diagnosis.doctor import diagnose
+from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.disparity import matched_disparity, published_triangulation
+from stereo_depth_ros.messages.encodings import ENCODINGS
+from stereo_depth_ros.messages.image import decode, decode_pair, image_message, image_size
+from stereo_depth_ros.messages.types import stamp_ns
+from stereo_depth_ros.pipeline import StereoPipeline
+from stereo_depth_ros.synthetic.bag import write_synthetic_bag
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
+
+__all__ = ["TARGETS", "Target", "run_case"]
+
+WIDTH, HEIGHT = 64, 48
+_REAL_SIZES = st.sampled_from((0, 1, 2, 3, WIDTH, HEIGHT, 640, 2**15, 2**16, 30_000, 2**31 - 1, 2**31, 2**32 - 1))
+_SIZES = st.one_of(st.just(WIDTH), st.just(HEIGHT), _REAL_SIZES, st.integers(0, 2**32 - 1))
+_FLOATS = st.one_of(
+    st.sampled_from((0.0, 1.0, -1.0, 1e-308, 5e-324, 1e308, -1e308, float("nan"), float("inf"), float("-inf"))),
+    st.floats(),
+)
+_TEXTS = st.one_of(
+    st.sampled_from(("", "[/]", "[red]x", "\x1b[2J\x07", "\n\r\0", "\u202eright", "a" * 1000, "plumb_bob", "rgb8")),
+    st.text(max_size=12),
+)
+_SEEDS = st.integers(0, 2**63 - 1)
+_NANOSECONDS = st.one_of(st.integers(0, 10**9 - 1), st.sampled_from((10**9, 4 * 10**9, 2**32 - 1)))
+
+
+@dataclass(frozen=True)
+class Target:
+    """One kind of input.
+
+    Attributes:
+        name: of it.
+        cases: makes them; a case is plain data.
+        run: uses a case, with an empty folder for files; raises StereoDepthError, or nothing.
+        known: cases that failed once.
+        examples: cases in the tests, at most.
+    """
+
+    name: str
+    cases: st.SearchStrategy[Any]
+    run: Callable[[Any, Path], None]
+    known: tuple[Any, ...] = ()
+    examples: int = 100
+
+
+def run_case(target: Target, case: Any) -> None:
+    """Use a case in a folder of its own; StereoDepthError is as good as success where its text is one line.
+
+    Raises:
+        whatever else the target raises.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            target.run(case, Path(folder))
+        except StereoDepthError as error:
+            text = str(error)
+            assert error.problem and error.remedy, f"without a problem or a remedy: {text!r}"
+            assert len(text) < 3000, f"{len(text)} characters: {text[:200]!r}"
+            assert "Error" not in text.replace(folder, ""), f"the name of an exception: {text!r}"
+
+
+# ---- messages
+
+
+@functools.cache
+def _sequence() -> SyntheticSequence:
+    return SyntheticSequence(2, WIDTH, HEIGHT)
+
+
+@functools.cache
+def _config() -> PipelineConfig:
+    return pipeline_config({"stereo_algorithm": 0, "disparity_range": 32, "correlation_window_size": 9})
+
+
+def _header(stamp: tuple[int, int] = (1, 2), frame_id: str = "left") -> Any:
+    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]), frame_id=frame_id)
+
+
+_STAMPS = st.tuples(st.integers(-(2**31), 2**31 - 1), _NANOSECONDS)
+_IMAGES = st.fixed_dictionaries(
+    {
+        "stamp": _STAMPS,
+        "frame_id": _TEXTS,
+        "height": _SIZES,
+        "width": _SIZES,
+        "encoding": st.one_of(st.sampled_from(sorted(ENCODINGS)), st.sampled_from(sorted(ENCODINGS)), _TEXTS),
+        "is_bigendian": st.integers(0, 255),
+        "step": st.one_of(st.none(), st.none(), _SIZES),
+        "size": st.one_of(st.none(), st.none(), st.integers(0, 20_000)),
+    }
+)
+
+
+def _image(case: dict[str, Any]) -> Any:
+    """Where the case has no step or size, it is that of the other fields; at most a megabyte."""
+    encoding = ENCODINGS.get(case["encoding"])
+    pixel = encoding.samples * encoding.sample_bytes if encoding else 1
+    step = case["width"] * pixel if case["step"] is None else case["step"]
+    rows = case["height"] * (encoding.payload_rows if encoding else 2) // 2
+    size = step * rows if case["size"] is None else case["size"]
+    data = np.arange(min(size, 2**20)).astype(np.uint8)
+    fields = {name: case[name] for name in ("height", "width", "encoding", "is_bigendian")}
+    return SimpleNamespace(**fields, step=step, data=data, header=_header(case["stamp"], case["frame_id"]))
+
+
+def _run_image(case: dict[str, Any], _: Path) -> None:
+    message = _image(case)
+    size = image_size(message, "image")
+    frame = decode(message, "image")
+    assert frame.pixels.shape[1::-1] == size
+    decode_pair(message, message, ("left", "right"))
+
+
+@functools.cache
+def _encoded() -> tuple[bytes, ...]:
+    gray = _sequence()[0].pair.left.pixels
+    color = np.dstack((gray, gray[::-1], gray[:, ::-1]))
+    deep = gray.astype(np.uint16) * 257
+    images = [(".jpg", gray), (".jpg", color), (".png", gray), (".png", color), (".png", deep), (".tiff", deep)]
+    images += [(".webp", color), (".bmp", gray), (".pgm", gray), (".ppm", color), (".pfm", gray.astype(np.float32))]
+    images += [(".tiff", gray.astype(np.float32)), (".tiff", gray.astype(np.float64))]
+    return tuple(cv2.imencode(suffix, pixels)[1].tobytes() for suffix, pixels in images)
+
+
+def _mutated_of(samples: Callable[[], tuple[bytes, ...]]) -> st.SearchStrategy[bytes]:
+    def damaged(seed: int) -> bytes:
+        random = np.random.default_rng(seed)
+        return mutated(samples()[int(random.integers(len(samples())))], random)
+
+    return _SEEDS.map(damaged)
+
+
+_FORMATS = st.one_of(
+    st.sampled_from(("jpeg", "png", "rgb8; jpeg compressed bgr8", "bayer_rggb8; png compressed ", "h264", "")), _TEXTS
+)
+
+
+def _run_compressed(case: tuple[str, bytes], _: Path) -> None:
+    message = SimpleNamespace(header=_header(), format=case[0], data=case[1])
+    with contextlib.suppress(StereoDepthError):
+        image_size(message, "image")
+    decode(message, "image")
+
+
+_INFOS = st.fixed_dictionaries(
+    {
+        "numbers": st.lists(st.tuples(st.sampled_from("krpd"), st.integers(0, 11), _FLOATS), max_size=4),
+        "count": st.one_of(st.none(), st.sampled_from((0, 1, 4, 5, 8, 12, 14, 15, 1000))),
+        "model": st.one_of(
+            st.none(), st.sampled_from(("equidistant", "rational_polynomial", "fisheye", "none")), _TEXTS
+        ),
+        "size": st.one_of(st.none(), st.none(), st.tuples(_SIZES, _SIZES)),
+        "binning": st.one_of(st.none(), st.tuples(_SIZES, _SIZES)),
+        "roi": st.one_of(st.none(), st.tuples(_SIZES, _SIZES, _SIZES, _SIZES)),
+        "frame_id": st.one_of(st.none(), _TEXTS),
+        "stamp": st.one_of(st.none(), _STAMPS),
+    }
+)
+
+
+def _info(case: dict[str, Any], side: str) -> Any:
+    """The camera info of a synthetic camera with the changes of the case."""
+    info = camera_info_message(RosbagsTypes(), getattr(_sequence().rig, side), 1)
+    if case["count"] is not None:
+        info.d = np.linspace(-0.1, 0.2, case["count"])
+    for name, place, value in case["numbers"]:
+        values = np.array(getattr(info, name), np.float64)
+        if values.size:
+            values[place % values.size] = value
+            setattr(info, name, values)
+    info.distortion_model = info.distortion_model if case["model"] is None else case["model"]
+    if case["size"] is not None:
+        info.width, info.height = case["size"]
+    if case["binning"] is not None:
+        info.binning_x, info.binning_y = case["binning"]
+    if case["roi"] is not None:
+        info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = case["roi"]
+    if case["frame_id"] is not None:
+        info.header.frame_id = case["frame_id"]
+    if case["stamp"] is not None:
+        info.header.stamp.sec, info.header.stamp.nanosec = case["stamp"]
+    return info
+
+
+def _run_infos(case: tuple[dict[str, Any], dict[str, Any]], _: Path) -> None:
+    """As a node: the rig, the check of the images, then the pipeline; and the checks of the doctor."""
+    left, right = _info(case[0], "left"), _info(case[1], "right")
+    for info, side in ((left, "left"), (right, "right")):
+        with contextlib.suppress(StereoDepthError):
+            check_camera(camera_from_info(info, side), side)
+    stamp_ns(left.header)
+    pair = _sequence()[0].pair
+    rig = StereoRig.from_infos(left, right)
+    rig.check_image(WIDTH, HEIGHT, "left")
+    result = StereoPipeline(_config(), rig).process(pair)
+    assert result.depth_m.shape == (HEIGHT, WIDTH)
+    assert result.points().shape == (HEIGHT, WIDTH, 3)
+
+
+_DISPARITIES = st.fixed_dictionaries(
+    {
+        "image": _IMAGES,
+        "plain": st.booleans(),
+        "f": st.one_of(st.none(), _FLOATS),
+        "t": st.one_of(st.none(), _FLOATS),
+        "min_disparity": _FLOATS,
+    }
+)
+
+
+def _run_disparity(case: dict[str, Any], _: Path) -> None:
+    image = _image(
+        {**case["image"], "encoding": "32FC1", "step": 4 * WIDTH if case["plain"] else case["image"]["step"]}
+    )
+    if case["plain"]:
+        image.width, image.height, image.data = WIDTH, HEIGHT, np.arange(4 * WIDTH * HEIGHT).astype(np.uint8)
+    rig = _sequence().rig
+    f, t = (rig.f_px if case["f"] is None else case["f"]), (rig.baseline_m if case["t"] is None else case["t"])
+    message = SimpleNamespace(header=image.header, image=image, f=f, t=t, min_disparity=case["min_disparity"])
+    with np.errstate(all="ignore"):
+        matched_disparity(message, rig)
+    published_triangulation(message, rig)
+
+
+@functools.cache
+def _serialized() -> tuple[tuple[str, bytes], ...]:
+    types, frame = RosbagsTypes(), _sequence()[0]
+    info = camera_info_message(types, _sequence().rig.left, 5)
+    image = image_message(types, frame.pair.left.pixels, "mono8", 5, "left")
+    compressed = types.CompressedImage(header=image.header, format="png", data=np.frombuffer(_encoded()[2], np.uint8))
+    return tuple((message.__msgtype__, types.serialize(message)) for message in (info, image, compressed))
+
+
+def _damaged_message(seed: int) -> tuple[str, bytes]:
+    random = np.random.default_rng(seed)
+    msgtype, data = _serialized()[int(random.integers(len(_serialized())))]
+    if random.integers(2):  # the fields, which are at the beginning
+        return msgtype, mutated(data[:120], random) + data[120:]
+    return msgtype, mutated(data, random)
+
+
+def _run_serialized(case: tuple[str, bytes], _: Path) -> None:
+    msgtype, data = case
+    message = RosbagsTypes().deserialize(data, msgtype)
+    stamp_ns(message.header)
+    if msgtype.endswith("CameraInfo"):
+        StereoRig.from_infos(message, camera_info_message(RosbagsTypes(), _sequence().rig.right, 5))
+    else:
+        image_size(message)
+        decode(message)
+
+
+# ---- bags
+
+
+@functools.cache
+def _bag() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bag.mcap"
+        write_synthetic_bag(path, _sequence())
+        plain = Path(folder) / "plain.mcap"
+        _rewrite(path, plain)
+        return plain.read_bytes()
+
+
+def _rewrite(path: Path, target: Path) -> None:
+    from stereo_depth_ros.bags.reader import BagReader
+
+    with BagReader(path) as reader, BagWriter(target, compression="none", chunk_size=5000) as writer:
+        for message in reader.messages():
+            writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+
+
+def _run_bag(case: bytes, folder: Path) -> None:
+    path = folder / "bag.mcap"
+    path.write_bytes(case)
+    for use in (inspect_bag, lambda p: list(read_pairs(p)), lambda p: diagnose(survey_bag(p))):
+        with contextlib.suppress(StereoDepthError):
+            use(path)
+
+
+# ---- files of text and pixels
+
+_P = "7.188560000000e+02 0.0 6.071928000000e+02 {} 0.0 7.188560000000e+02 1.852157000000e+02 0.0 0.0 0.0 1.0 0.0"
+_CALIB_KITTI = f"P0: {_P.format(0)}\nP1: {_P.format(-386.1448)}\nP2: {_P.format(45.4)}\n".encode()
+_RAW = "S_00: 64 48\nK_00: 50 0 32 0 50 24 0 0 1\nD_00: -0.3 0.2 0.001 0.001 0\nR_rect_00: 1 0 0 0 1 0 0 0 1\n"
+_CALIB_RAW = (
+    f"calib_time: 09-Jan-2012 13:57:47\n{_RAW}P_rect_00: 50 0 32 0 0 50 24 0 0 0 1 0\n"
+    f"{_RAW.replace('_00', '_01')}P_rect_01: 50 0 32 -25 0 50 24 0 0 0 1 0\n"
+).encode()
+_TIMES = b"0.0\n1.0e-01\n2.0e-01\n"
+_DATES = b"2011-09-26 13:02:25.964389445\n2011-09-26 13:02:26.074344445\n"
+_CALIB_2014 = (
+    b"cam0=[50.5 0 30.2; 0 50.5 23.1; 0 0 1]\ncam1=[50.5 0 33.4; 0 50.5 23.1; 0 0 1]\ndoffs=3.2\nbaseline=193.001\n"
+    b"width=64\nheight=48\nndisp=32\n"
+)
+_SENSOR = """%YAML:1.0
+sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [1.0, 0.0, 0.0, {}, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+rate_hz: 20
+resolution: [64, 48]
+camera_model: pinhole
+intrinsics: [50.0, 50.2, 32.1, 23.9]
+distortion_model: radial-tangential
+distortion_coefficients: [-0.28, 0.07, 0.0002, 1.7e-05]
+"""
+_INDEX = b"#timestamp [ns],filename\n1403636579763555584,1403636579763555584.png\n1403636579813555456,b.png\n"
+_WORDS = (
+    *(
+        b"1e400",
+        b"nan",
+        b"-inf",
+        b"0",
+        b"-1",
+        b"9" * 400,
+        b"1_0",
+        b"0x10",
+        b"",
+        b"\xff\xfe",
+        b"\0",
+        b"\xe9",
+        b"[" * 100,
+    ),
+    *(b"null", b"true", b"{}", b"[1, 2]", b"&a [*a, *a]", b"*a", b"!!python/object:os.system x", b"!!binary aGk="),
+    *(
+        b"[/red]",
+        b"\x1b[2J",
+        b"\r",
+        b"2147483648",
+        b"1e308",
+        b"../../../etc/passwd",
+        b"/",
+        b"~",
+        b'"',
+        b"'",
+        b"- ",
+        b": ",
+    ),
+)
+
+
+def _edited(text: bytes, random: np.random.Generator) -> bytes:
+    """The text with damages that a parser sees: words exchanged, lines lost or repeated; or with any damage."""
+    if random.integers(4) == 0:
+        return mutated(text, random)
+    lines = text.split(b"\n")
+    for _ in range(int(random.integers(1, 4))):
+        at, word = int(random.integers(len(lines))), _WORDS[int(random.integers(len(_WORDS)))]
+        kind = int(random.integers(6))
+        if kind == 0 and len(lines) > 1:
+            del lines[at]
+        elif kind == 1:
+            lines.insert(at, lines[int(random.integers(len(lines)))])
+        elif kind == 2:
+            lines.insert(at, word)
+        else:
+            words = lines[at].split(b" ")
+            words[int(random.integers(len(words)))] = word
+            lines[at] = b" ".join(words)
+    return b"\n".join(lines)
+
+
+_FILES: dict[str, Callable[[], dict[str, bytes]]] = {
+    "kitti": lambda: {
+        **{f"image_{side}/00000{n}.png": _encoded()[2] for side in "01" for n in range(3)},
+        **{"calib.txt": _CALIB_KITTI, "times.txt": _TIMES},
+    },
+    "kitti raw": lambda: {
+        **{f"image_0{side}/data/000000000{n}.png": _encoded()[2] for side in "01" for n in range(2)},
+        **{"calib_cam_to_cam.txt": _CALIB_RAW, "image_00/timestamps.txt": _DATES},
+    },
+    "middlebury 2014": lambda: {
+        **{"im0.png": _encoded()[2], "im1.png": _encoded()[2], "calib.txt": _CALIB_2014, "disp0.pfm": _encoded()[10]},
+    },
+    "middlebury 2005": lambda: {
+        **{"view1.png": _encoded()[2], "view5.png": _encoded()[2], "dmin.txt": b"10\n", "disp1.png": _encoded()[2]},
+    },
+    "npz": lambda: {
+        **{"a_left.png": _encoded()[2], "a_right.png": _encoded()[2], "calib.txt": _CALIB_2014},
+        **{"a_disp.npz": _npz()},
+    },
+    "euroc": lambda: {
+        **{f"mav0/cam{n}/data/1403636579763555584.png": _encoded()[2] for n in range(2)},
+        **{f"mav0/cam{n}/data.csv": _INDEX for n in range(2)},
+        **{f"mav0/cam{n}/sensor.yaml": _SENSOR.format(0.1 * n).encode() for n in range(2)},
+    },
+}
+_READERS: dict[str, Callable[[Path], Any]] = {
+    **{"kitti": KittiDataset, "kitti raw": KittiDataset, "euroc": EurocDataset},
+    **{"middlebury 2014": MiddleburyDataset, "middlebury 2005": MiddleburyDataset, "npz": MiddleburyDataset},
+}
+
+
+@functools.cache
+def _npz() -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, np.arange(WIDTH * HEIGHT, dtype=np.float32).reshape(HEIGHT, WIDTH))
+    return file.getvalue()
+
+
+def _npz_of(header: bytes, payload: bytes, count: int = 1) -> bytes:
+    """An .npz file with an array of this header; the payload is repeated."""
+    file = io.BytesIO()
+    padded = header.ljust(117) + b"\n"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("arr_0.npy", "w") as member:
+        member.write(b"\x93NUMPY\x01\0" + struct.pack("<H", len(padded)) + padded)
+        for _ in range(count):
+            member.write(payload)
+    return file.getvalue()
+
+
+def _damaged_dataset(seed: int) -> tuple[str, dict[str, bytes]]:
+    """Kind of the dataset, and the files that are damaged."""
+    random = np.random.default_rng(seed)
+    kind = list(_FILES)[int(random.integers(len(_FILES)))]
+    files = _FILES[kind]()
+    texts = [name for name in files if not name.endswith(".png")] or list(files)
+    name = (texts if random.integers(4) else list(files))[int(random.integers(len(texts)))]
+    is_text = name.endswith((".txt", ".csv", ".yaml"))
+    return kind, {name: _edited(files[name], random) if is_text else mutated(files[name], random)}
+
+
+def _run_dataset(case: tuple[str, dict[str, bytes]], folder: Path) -> None:
+    kind, damaged = case
+    for name, data in {**_FILES[kind](), **damaged}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    for frame in _READERS[kind](folder):
+        assert frame.left.pixels.size
+        if frame.truth_disparity_px is not None:
+            assert frame.truth_disparity_px.dtype == np.float32
+
+
+def _run_image_file(case: bytes, folder: Path) -> None:
+    (folder / "a.png").write_bytes(case)
+    with contextlib.suppress(StereoDepthError):
+        read_disparity_image(folder / "a.png")
+    read_image(folder / "a.png")
+
+
+def _run_npz(case: bytes, folder: Path) -> None:
+    (folder / "a.npz").write_bytes(case)
+    assert read_npz(folder / "a.npz").dtype == np.float32
+
+
+# ---- parameters
+
+_PARAMETER_FILE = b"""/**:
+  ros__parameters:
+    stereo_algorithm: 1
+    disparity_range: 96
+    uniqueness_ratio: 12.5
+    use_color: true
+    depth_encoding: "16UC1"
+disparity_node:
+  ros__parameters: {P1: 200.0, P2: 400.0, speckle_size: 50}
+"""
+
+
+def _lines() -> st.SearchStrategy[str]:
+    """Documents of YAML's parts in any order."""
+    parts = st.sampled_from(
+        (
+            *" \n\t-:,[]{}&*!|>'\"#%@`?",
+            "\n  ",
+            "- ",
+            ": ",
+            "a",
+            "&a ",
+            "*a",
+            "<<: *a",
+            "!!set",
+            "---\n",
+            "...\n",
+            "~",
+            "1",
+        )
+    )
+    return st.lists(st.one_of(parts, _TEXTS), max_size=40).map("".join)
+
+
+def _laughs(levels: int) -> bytes:
+    lines = ["a0: &a0 [x, x]", *(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, levels))]
+    return "\n".join(lines).encode()
+
+
+_PARAMETER_FILES = st.one_of(
+    _SEEDS.map(lambda seed: _edited(_PARAMETER_FILE, np.random.default_rng(seed))),
+    _lines().map(lambda text: text.encode("utf-8", "surrogatepass")),
+    _lines().map(lambda text: b"/**:\n  ros__parameters:\n    P1: " + text.encode("utf-8", "surrogatepass")),
+)
+
+
+def _run_parameter_file(case: bytes, folder: Path) -> None:
+    (folder / "params.yaml").write_bytes(case)
+    pipeline_config(read_params_file(folder / "params.yaml"))
+
+
+_ASSIGNMENTS = st.lists(
+    st.one_of(
+        st.tuples(
+            st.sampled_from(("stereo_algorithm", "disparity_range", "P1", "use_color", "depth_encoding", "onnx_model")),
+            st.one_of(_TEXTS, _lines(), st.integers().map(str), st.floats().map(str), st.sampled_from(("9" * 5000,))),
+        ).map(":=".join),
+        _TEXTS,
+    ),
+    max_size=3,
+)
+
+
+def _run_assignments(case: list[str], _: Path) -> None:
+    pipeline_config(parse_assignments(case))
+
+
+_VALUES = st.one_of(_TEXTS.filter(lambda text: "\0" not in text), st.integers().map(str), st.floats().map(str))
+_NAMES = st.sampled_from(
+    (
+        "info",
+        "doctor",
+        "rig",
+        "process",
+        "evaluate",
+        "parameters",
+        "convert",
+        "kitti",
+        "calibrate",
+        "rectify",
+        "nothing",
+    )
+)
+_OPTIONS = st.sampled_from(
+    (
+        "--json",
+        "--param",
+        "-p",
+        "--matcher",
+        "--left",
+        "--start",
+        "--duration",
+        "--size",
+        "--rate",
+        "--output",
+        "--help",
+    )
+)
+_COMMANDS = st.tuples(
+    _NAMES, st.lists(st.one_of(_OPTIONS, _VALUES, st.just("a.mcap"), st.just("missing.mcap")), max_size=5)
+)
+
+
+def _run_command(case: tuple[str, list[str]], folder: Path) -> None:
+    """In this process: it ends with an exit code, and what it writes to stderr has no traceback."""
+    (folder / "a.mcap").write_bytes(_bag()[:3000])
+    out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.TextIOWrapper(io.BytesIO(), "utf-8")
+    before, where = sys.argv, Path.cwd()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    sys.argv = ["stereo-depth", case[0], *case[1]]
+    try:
+        os.chdir(folder)
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            cli.main()
+    except SystemExit as ended:
+        err.flush()
+        said = err.buffer.getvalue().decode()  # type: ignore[attr-defined]
+        assert ended.code in (None, 0, 1, 2, 3), ended.code
+        assert "Traceback" not in said, said
+    finally:
+        sys.argv = before
+        os.chdir(where)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+_HUGE_HEADERS = tuple(
+    _npz_of(f"{{'descr': {descr!r}, 'fortran_order': False, 'shape': {shape}, }}".encode(), bytes(2**12))
+    for descr, shape in (("<f4", "(1099511627776, 8)"), ("|O", "(8, 8)"), ("<f4", "(8,)"), ("<c16", "(8, 8)"))
+)
+_PLAIN_IMAGE = {
+    **{"stamp": (1, 2), "frame_id": "left", "height": HEIGHT, "width": WIDTH, "encoding": "mono8"},
+    **{"is_bigendian": 0, "step": None, "size": None},
+}
+_PLAIN_INFO: dict[str, Any] = dict.fromkeys(("count", "model", "size", "binning", "roi", "frame_id", "stamp")) | {
+    "numbers": []
+}
+_PLAIN_DISPARITY = {"image": _PLAIN_IMAGE, "plain": True, "f": None, "t": None, "min_disparity": 0.0}
+
+
+def _png_of(width: int, height: int) -> bytes:
+    data = bytearray(_encoded()[2])
+    data[16:24] = struct.pack(">II", width, height)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    return bytes(data)
+
+
+TARGETS: tuple[Target, ...] = (
+    Target(
+        "image",
+        _IMAGES,
+        _run_image,
+        (
+            _PLAIN_IMAGE,
+            {**_PLAIN_IMAGE, "stamp": (1, 4 * 10**9)},
+            {**_PLAIN_IMAGE, "encoding": "[/]\x1b[2J" * 100_000},
+            {**_PLAIN_IMAGE, "height": 2**31, "width": 2**31},
+            {**_PLAIN_IMAGE, "height": 2**32 - 1, "width": 1, "step": 0},
+        ),
+    ),
+    Target(
+        "compressed image",
+        st.tuples(_FORMATS, _mutated_of(_encoded)),
+        _run_compressed,
+        (("png", _png_of(20_000, 20_000)), ("jpeg", b""), ("png", _encoded()[2][:40]), ("x" * 10**6, b"\xff\xd8\xff")),
+    ),
+    Target(
+        "camera infos",
+        st.tuples(_INFOS, _INFOS),
+        _run_infos,
+        (
+            (_PLAIN_INFO, _PLAIN_INFO),
+            *(
+                (changed, changed)
+                for changed in (
+                    {**_PLAIN_INFO, "size": (30_000, 30_000)},
+                    {**_PLAIN_INFO, "count": 1_000_000},
+                    {**_PLAIN_INFO, "model": "x" * 10**6},
+                    *(
+                        {**_PLAIN_INFO, "numbers": [(name, 0, value)]}
+                        for name in "kp"
+                        for value in (1e308, np.nan, 5e-324)
+                    ),
+                )
+            ),
+        ),
+        examples=60,
+    ),
+    Target("disparity image", _DISPARITIES, _run_disparity, (_PLAIN_DISPARITY,)),
+    Target("serialized messages", _SEEDS.map(_damaged_message), _run_serialized, examples=200),
+    Target("bags", _mutated_of(lambda: (_bag(),)), _run_bag, examples=20),
+    Target("datasets", _SEEDS.map(_damaged_dataset), _run_dataset, (("kitti", {}),), examples=150),
+    Target("npz", _mutated_of(lambda: (_npz(), *_HUGE_HEADERS)), _run_npz, _HUGE_HEADERS),
+    Target("image files", _mutated_of(_encoded), _run_image_file, (_png_of(20_000, 20_000), b"P5 60000 60000 255\n")),
+    Target("parameter files", _PARAMETER_FILES, _run_parameter_file, (_PARAMETER_FILE, _laughs(30), b"[" * 10_000)),
+    Target("parameters", _ASSIGNMENTS, _run_assignments, (["P1:=" + "9" * 5000], [":="], ["P1:=&a [*a]"])),
+    Target("command line", _COMMANDS, _run_command, (("info", ["[red]"]), ("rig", ["~nosuchuser"])), examples=40),
+)
