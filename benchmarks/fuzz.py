@@ -60,7 +60,8 @@ def main() -> int:
     parser.add_argument("--worker", nargs=2, metavar=("NAME", "FILE"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.worker:
-        return work(*options.worker, options.seed)
+        name, current = options.worker
+        return work(name, current, options.seed)
     if options.input:
         name, case = pickle.loads(options.input.read_bytes())
         targets().run_case(target_of(name), case)
@@ -91,7 +92,7 @@ def target_of(name: str) -> Any:
 def table(tallies: dict[str, Tally]) -> str:
     """A row for each target, and their sum."""
     head = ("target", "cases", "tracebacks", f"above {LONGEST_S:g} s", f"above {MOST_MIB} MiB", "peak MiB")
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (name, str(t.cases), str(t.tracebacks), str(t.hangs), str(t.large), f"{t.peak_mib:.0f}")
         for name, t in tallies.items()
     ]
@@ -118,7 +119,12 @@ def run_worker(name: str, seconds: float, seed: int, output: Path, tally: Tally)
     lines: queue.Queue[str] = queue.Queue()
     assert process.stdout is not None
     stream = process.stdout
-    reader = threading.Thread(target=lambda: [lines.put(line) for line in stream], daemon=True)
+
+    def read() -> None:
+        for line in stream:
+            lines.put(line)
+
+    reader = threading.Thread(target=read, daemon=True)
     reader.start()
     end, begun = time.monotonic() + seconds, False
     try:
@@ -212,7 +218,9 @@ def work(name: str, current: str, seed: int) -> int:
             phases=(Phase.generate,),
             suppress_health_check=list(HealthCheck),
         )
-        seeded(1000 * seed + number)(chunk(given(target.cases)(run)))()
+        test: Any = given(target.cases)(run)
+        cases: Any = seeded(1000 * seed + number)
+        cases(chunk(test))()
         number += 1
 
 

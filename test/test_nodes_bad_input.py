@@ -14,15 +14,18 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from graph_harness import NS_PER_S, Graph, StereoCamera, image_pixels
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.nodes import base
 from stereo_depth_ros.nodes.depth_node import DepthNode
 from stereo_depth_ros.nodes.disparity_node import DisparityNode
+from stereo_depth_ros.nodes.feature_node import FeatureNode
 from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
 from stereo_depth_ros.nodes.rectify_node import RectifyNode
 from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
+from stereo_depth_ros.stages import rectification
 from stereo_depth_ros.stages.rectification import Rectifier
 
 pytestmark = pytest.mark.graph
@@ -627,3 +630,49 @@ def test_qos_override_of_an_output(camera: StereoCamera) -> None:
         (found,) = graph.publishers("/disparity")
         assert found.qos_profile.reliability.name == "BEST_EFFORT"
     assert np.isfinite(image_pixels(received[0].image)).all()
+
+
+def test_messages_that_cannot_be_read_are_counted_and_reported_once(
+    camera: StereoCamera, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        received = graph.listen("disparity", DisparityImage)
+        graph.send(camera.pair(FIRST_NS))
+        graph.wait(lambda: received, "disparity")
+        image, info = serialize_message(camera.pair(BAD_NS)[LEFT]), serialize_message(camera.pair(BAD_NS)[RIGHT_INFO])
+        capfd.readouterr()
+        for _ in range(3):
+            graph.advertise(LEFT, Image).publish(image[:-1])
+            graph.advertise(RIGHT_INFO, CameraInfo).publish(info.replace(b"plumb_bob", b"plumb_b\xff\xfe"))
+        late = camera.pair(BAD_NS)[RIGHT]
+        late.header.stamp.nanosec = 4 * NS_PER_S
+        graph.advertise(RIGHT, Image).publish(late)
+        graph.wait(lambda: graph.nodes[0].diagnostics.counters["MessageError"] == 7, "seven errors")
+        out, err = capfd.readouterr()
+        assert "exceeds" not in out + err and "Traceback" not in out + err
+        graph.wait_error(rf"^/left/image_raw: {len(image) - 1} bytes are not a sensor_msgs/msg/Image: its publisher is")
+        graph.wait_error(rf"^/right/camera_info: {len(info)} bytes are not a sensor_msgs/msg/CameraInfo: its publisher")
+        graph.wait_error("^/right/image_raw: nanosec = 4000000000 of the stamp is outside 0..999999999: the message is")
+        assert len(graph.errors("bytes are not|nanosec")) == 3
+        graph.send(camera.pair(NEXT_NS))
+        graph.wait(lambda: len(received) == 2, "next disparity")
+
+
+def test_nothing_of_the_size_of_wrong_camera_infos_is_built(
+    camera: StereoCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = []
+    real = rectification._build_maps
+    monkeypatch.setattr(rectification, "_build_maps", lambda c: (sizes.append((c.width, c.height)), real(c))[1])
+    rectified = {f"{side}/image_rect": f"{side}/image_raw" for side in ("left", "right")}
+    with Graph(StereoDepthNode, RectifyNode, DisparityNode, FeatureNode, parameters=SMALL, remaps=rectified) as graph:
+        for topic in ("disparity", "left/image_rect_color", "features/points2"):
+            graph.listen(topic, {"disparity": DisparityImage, "features/points2": PointCloud2}.get(topic, Image))
+        messages = camera.pair(BAD_NS)
+        info_size(LEFT_INFO, RIGHT_INFO)(messages)
+        graph.send(messages, subscribers=4)
+        for node in graph.nodes:
+            graph.wait(
+                lambda node=node: node.diagnostics.counters["CalibrationError"], f"an error of {node.get_name()}"
+            )
+        assert sizes == []

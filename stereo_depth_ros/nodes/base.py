@@ -128,6 +128,7 @@ class StereoNode(Node):  # type: ignore[misc]
                 self,
                 self.diagnostics,
                 message_class(msgtype),
+                functools.partial(self.types.deserialize, typename=msgtype),
                 topic,
                 callback,
                 wanted,

@@ -21,6 +21,7 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.nodes.diagnostics import NodeDiagnostics
 
 __all__ = ["OVERRIDABLE_POLICIES", "Input"]
@@ -41,6 +42,8 @@ class Input:
         node: subscribes.
         diagnostics: of the node; errors of the callback are reported there, lost messages counted.
         message_type: class of the messages.
+        deserialize: message from CDR bytes; raises MessageError. Where rclpy does it, a message that cannot be read is
+            lost without a word, but for a line on stderr for each.
         topic: relative to the namespace of the node.
         callback: called with every message.
         wanted: whether the node needs this input.
@@ -54,6 +57,7 @@ class Input:
         node: Node,
         diagnostics: NodeDiagnostics,
         message_type: Any,
+        deserialize: Callable[[bytes], Any],
         topic: str,
         callback: Callable[[Any], None],
         wanted: Callable[[], bool],
@@ -66,6 +70,7 @@ class Input:
         self._node = node
         self._diagnostics = diagnostics
         self._message_type = message_type
+        self._deserialize = deserialize
         self._callback = callback
         self._depth = depth
         self._repeated = repeated
@@ -131,7 +136,7 @@ class Input:
         for subscription in self._subscriptions():
             while True:
                 with subscription.handle:
-                    taken = subscription.handle.take_message(self._message_type, False)
+                    taken = subscription.handle.take_message(self._message_type, True)
                 if taken is None:
                     break
                 self._receive(*taken)
@@ -215,9 +220,10 @@ class Input:
                 message_lost=self._on_lost,
             ),
             qos_overriding_options=QoSOverridingOptions(overridden),
+            raw=True,
         )
 
-    def _receive(self, message: Any, info: Mapping[str, Any]) -> None:
+    def _receive(self, data: bytes, info: Mapping[str, Any]) -> None:
         with self._diagnostics.catch():
             sent_at = info["source_timestamp"]
             is_repeated = (self._former is not None or self._may_repeat > 0) and sent_at in self._sent_at
@@ -226,7 +232,13 @@ class Input:
             if not is_repeated:
                 self._received += 1
                 self._note_number(info["publication_sequence_number"])
-                self._callback(message)
+                self._callback(self._read(data))
+
+    def _read(self, data: bytes) -> Any:
+        try:
+            return self._deserialize(data)
+        except MessageError as error:
+            raise error.about(self.resolved_topic) from error
 
     def _note_number(self, number: int | None) -> None:
         """Count what did not arrive and was not lost on the way: newer messages replaced it in the queue.

@@ -19,6 +19,7 @@ from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.messages.cdr_reader import READ_TYPES, read_message
 from stereo_depth_ros.nodes.sending import Payload
 
 __all__ = ["RclpyTypes", "message_class"]
@@ -61,7 +62,7 @@ class RclpyTypes:
         return array.array("d", values.tolist())
 
     def deserialize(self, data: bytes, typename: str) -> Any:
-        """The message in CDR bytes.
+        """The message in CDR bytes; ``data`` of an image is a view on these bytes.
 
         Args:
             data: CDR bytes with their encapsulation header.
@@ -70,6 +71,8 @@ class RclpyTypes:
         Raises:
             MessageError: bytes that are not a message of this type.
         """
+        if typename in READ_TYPES:
+            return read_message(self, data, typename)
         try:
             return deserialize_message(data, message_class(typename))
         except rclpy_implementation.RMWError as error:
