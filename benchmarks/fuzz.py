@@ -13,8 +13,11 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import itertools
+import os
 import pickle
 import queue
+import re
 import resource
 import secrets
 import subprocess
@@ -23,7 +26,7 @@ import threading
 import time
 import traceback
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +38,7 @@ MOST_MIB = 1024  # of a case, beyond what the process had before
 ADDRESSES = 16 << 30  # of a worker, so that no case takes the machine
 START_S = 120.0  # of a worker, which may compile kernels
 CHUNK = 200  # cases of one seed
+CURRENT = "current.pickle"  # the case that a worker runs
 
 
 @dataclass
@@ -46,7 +50,14 @@ class Tally:
     hangs: int = 0
     large: int = 0
     peak_mib: float = 0.0
-    places: set[str] = field(default_factory=set)
+
+    def note(self, words: list[str]) -> None:
+        """A line of a worker: the memory of the case, MiB, and whether it failed."""
+        used_mib = float(words[0])
+        self.cases += 1
+        self.tracebacks += int(words[1])
+        self.large += used_mib > MOST_MIB
+        self.peak_mib = max(self.peak_mib, used_mib)
 
 
 def main() -> int:
@@ -57,11 +68,10 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=Path("fuzz"), metavar="FOLDER", help="keeps failing inputs")
     parser.add_argument("--input", type=Path, metavar="FILE", help="run this input again")
     parser.add_argument("--seed", type=int, help="of all cases; a fresh one by default")
-    parser.add_argument("--worker", nargs=2, metavar=("NAME", "FILE"), help=argparse.SUPPRESS)
+    parser.add_argument("--worker", metavar="NAME", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.worker:
-        name, current = options.worker
-        return work(name, current, options.seed)
+        return work(options.worker, options.output, options.seed)
     if options.input:
         name, case = pickle.loads(options.input.read_bytes())
         targets().run_case(target_of(name), case)
@@ -113,9 +123,10 @@ def examine(name: str, seconds: float, seed: int, output: Path) -> Tally:
 def run_worker(name: str, seconds: float, seed: int, output: Path, tally: Tally) -> None:
     """One process, until the time is over, it ends, or a case takes too long."""
     output.mkdir(parents=True, exist_ok=True)
-    current = output / "current.pickle"
-    command = [sys.executable, str(Path(__file__).resolve()), "--worker", name, str(current), "--seed", str(seed)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    command = [sys.executable, str(Path(__file__).resolve()), "--worker", name, "--seed", str(seed)]
+    process = subprocess.Popen(
+        [*command, "--output", str(output)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
     lines: queue.Queue[str] = queue.Queue()
     assert process.stdout is not None
     stream = process.stdout
@@ -127,22 +138,24 @@ def run_worker(name: str, seconds: float, seed: int, output: Path, tally: Tally)
     reader = threading.Thread(target=read, daemon=True)
     reader.start()
     end, begun = time.monotonic() + seconds, False
+    current = output / CURRENT
     try:
         while time.monotonic() < end or not begun:
             try:
-                line = lines.get(timeout=LONGEST_S if begun else START_S)
+                words = lines.get(timeout=LONGEST_S if begun else START_S).split()
             except queue.Empty:
+                words = ["stopped"]
+            if words[0] == "stopped":
                 stopped = process.poll() is not None
+                tally.cases += 1
                 tally.hangs += not stopped
                 tally.tracebacks += stopped
-                keep(output, tally, name, None, "the process ended" if stopped else f"more than {LONGEST_S:g} s")
+                why = f"the process ended with code {process.returncode}" if stopped else f"more than {LONGEST_S:g} s"
+                keep(output, name, why, why, current.read_bytes() if current.exists() else b"")
                 return
+            if begun:
+                tally.note(words)
             begun = True
-            note(line.rstrip("\n").split("\t"), output, tally, name)
-            if process.poll() is not None and lines.empty():
-                tally.tracebacks += 1
-                keep(output, tally, name, None, f"the process ended with code {process.returncode}")
-                return
     finally:
         process.kill()
         process.wait()
@@ -150,78 +163,53 @@ def run_worker(name: str, seconds: float, seed: int, output: Path, tally: Tally)
         current.unlink(missing_ok=True)
 
 
-def note(words: list[str], output: Path, tally: Tally, name: str) -> None:
-    """A line of a worker: memory of the case, MiB, and the place where it failed, with its traceback escaped."""
-    if words[0] == "ready":
-        return
-    tally.cases += 1
-    used_mib = float(words[0])
-    tally.peak_mib = max(tally.peak_mib, used_mib)
-    if used_mib > MOST_MIB:
-        tally.large += 1
-        keep(output, tally, name, words[1] or None, f"{used_mib:.0f} MiB")
-    if words[1]:
-        tally.tracebacks += 1
-        keep(output, tally, name, words[1], words[2].encode().decode("unicode_escape"))
+def keep(output: Path, name: str, place: str, why: str, case: bytes) -> None:
+    """A failing case as a file, and why it fails in another; the first one of its place only."""
+    stem = re.sub(r"\W+", "_", f"{name} {place}")
+    if not (path := output / f"{stem}.pickle").exists():
+        path.write_bytes(case)
+        path.with_suffix(".txt").write_text(f"{name}: {place}\n{why}\n", encoding="utf-8", errors="replace")
 
 
-def keep(output: Path, tally: Tally, name: str, place: str | None, why: str) -> None:
-    """The current case as a file, unless there is one of its place already."""
-    if (place or why) in tally.places:
-        return
-    tally.places.add(place or why)
-    stem = output / f"{name.replace(' ', '_')}_{len(tally.places)}"
-    current = output / "current.pickle"
-    failed = output / "failed.pickle"
-    source = failed if place and failed.exists() else current
-    if source.exists():
-        stem.with_suffix(".pickle").write_bytes(source.read_bytes())
-    stem.with_suffix(".txt").write_text(f"{name}: {place or ''}\n{why}\n", encoding="utf-8", errors="replace")
-
-
-def work(name: str, current: str, seed: int) -> int:
-    """Run cases and write a line for each to the standard output that this process had when it began."""
+def work(name: str, output: Path, seed: int) -> int:
+    """Run cases, and write a line for each to the standard output that this process had when it began."""
     from hypothesis import HealthCheck, Phase, given, settings
     from hypothesis import seed as seeded
 
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
-    lines = sys.stdout
-    sys.stdout = sys.stderr
+    lines = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # a command writes to its own standard output
     module, target = targets(), target_of(name)
-    path = Path(current)
-    failures: set[str] = set()
     warnings.simplefilter("error", RuntimeWarning)
+    chunk = settings(
+        max_examples=CHUNK,
+        database=None,
+        deadline=None,
+        phases=(Phase.generate,),
+        suppress_health_check=list(HealthCheck),
+    )
 
     def run(case: Any) -> None:
-        path.write_bytes(pickle.dumps((name, case)))
-        before_mib = reset_peak()
-        place = why = ""
+        data = pickle.dumps((name, case))
+        (output / CURRENT).write_bytes(data)
+        before_mib, failed = reset_peak(), False
         try:
             module.run_case(target, case)
         except Exception as error:
-            place, why = place_of(error), traceback.format_exc()
-            if place not in failures:
-                failures.add(place)
-                path.with_name("failed.pickle").write_bytes(path.read_bytes())
-        escaped = why.encode("unicode_escape").decode()
-        print(f"{peak_mib() - before_mib:.1f}\t{place}\t{escaped}", file=lines, flush=True)
+            failed = True
+            keep(output, name, place_of(error), traceback.format_exc(), data)
+        used_mib = peak_mib() - before_mib
+        if used_mib > MOST_MIB:
+            keep(output, name, f"above {MOST_MIB} MiB", f"{used_mib:.0f} MiB", data)
+        lines.write(f"{used_mib:.1f} {int(failed)}\n")
 
-    print("ready", file=lines, flush=True)
-    number = 0
+    lines.write("ready\n")
     for case in target.known:
         run(case)
-    while True:
-        chunk = settings(
-            max_examples=CHUNK,
-            database=None,
-            deadline=None,
-            phases=(Phase.generate,),
-            suppress_health_check=list(HealthCheck),
-        )
-        test: Any = given(target.cases)(run)
-        cases: Any = seeded(1000 * seed + number)
-        cases(chunk(test))()
-        number += 1
+    for number in itertools.count():
+        fresh: Any = seeded(1000 * seed + number)
+        fresh(chunk(given(target.cases)(run)))()  # type: ignore[no-untyped-call]
+    return 0
 
 
 def place_of(error: BaseException) -> str:

@@ -185,3 +185,12 @@ def test_video_is_refused_by_name(name: str, codec: str) -> None:
     video = SimpleNamespace(header=HEADER, width=640, height=480, encoding=name, data=b"\0\0\0\1\x67")
     with pytest.raises(MessageError, match=text):
         decode(video, "/cam")
+
+
+def test_a_png_with_a_chunk_that_ends_after_the_file_is_not_decoded(decoded: list[int]) -> None:
+    data = encoded(53, 37, "png")
+    assert decode(message(data, "png")).pixels.shape == (37, 53, 3)
+    data = data[:-12] + struct.pack(">I4s", 2**30, b"tEXt") + data[-12:]
+    with pytest.raises(MessageError, match="is not a complete jpeg or png"):
+        decode(message(data, "png"))
+    assert len(decoded) == 1

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -190,6 +191,7 @@ def to_camera_image(samples: NDArray[Any], encoding: StoredEncoding) -> CameraIm
 
 _SILENT = 0  # log level
 _LOGGING: Any = getattr(cv2.utils, "logging", cv2)  # older versions have it in cv2
+_PNG_START, _PNG_CHUNK = b"\x89PNG\r\n\x1a\n", 12  # bytes of a chunk beside its content
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 
@@ -204,9 +206,9 @@ def decode_file(content: bytes, flags: int) -> NDArray[Any] | None:
 
     The size in the header must have been checked: memory for it is allocated.
     """
-    # Some versions of OpenCV silently fill the missing part of a truncated jpeg with gray. Markers do not occur inside
-    # a scan, so a complete file has its end marker after the start of its last scan.
-    if content.startswith(_JPEG_START) and content.rfind(_JPEG_END) < content.rfind(_JPEG_SCAN):
+    if content.startswith(_JPEG_START) and not _jpeg_is_complete(content):
+        return None
+    if content.startswith(_PNG_START) and not _png_is_complete(content):
         return None
     level = _LOGGING.getLogLevel()
     _LOGGING.setLogLevel(_SILENT)  # OpenCV writes a line or more to stderr for each image that it cannot read
@@ -217,3 +219,22 @@ def decode_file(content: bytes, flags: int) -> NDArray[Any] | None:
     finally:
         _LOGGING.setLogLevel(level)
     return None if pixels is None else np.asarray(pixels)
+
+
+def _jpeg_is_complete(content: bytes) -> bool:
+    """Whether the end marker comes after the start of the last scan, inside of which markers do not occur.
+
+    Some versions of OpenCV silently fill the missing part of a truncated jpeg with gray.
+    """
+    return content.rfind(_JPEG_END) >= content.rfind(_JPEG_SCAN)
+
+
+def _png_is_complete(content: bytes) -> bool:
+    """Whether all chunks are inside the file; OpenCV 5 allocates what the length of a chunk says, up to 2 GiB."""
+    at = len(_PNG_START)
+    while at + _PNG_CHUNK <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, at)
+        at += length + _PNG_CHUNK
+        if kind == b"IEND":
+            return at <= len(content)
+    return False
