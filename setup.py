@@ -51,7 +51,8 @@ EXTRAS = {
     "test": [
         *GRAPH_CUT,
         *ONNX,
-        *("catkin-pkg>=1.0.0", "colcon-common-extensions>=0.3.0", "onnx>=1.16.0", "PyYAML>=6.0.1"),
+        *("catkin-pkg>=1.0.0", "colcon-common-extensions>=0.3.0", "hypothesis>=6.98.0", "onnx>=1.16.0"),
+        "PyYAML>=6.0.1",
         *("pytest>=8.0.0", "pytest-xdist>=3.5.0"),
         "setuptools>=70.1",  # the first that builds a wheel by itself
     ],
