@@ -17,16 +17,29 @@ from command_line import CommandLine, Run
 
 from stereo_depth_ros.cli import main as cli
 
+# Long and without kernels: they run while the first test of the graph compiles the kernels for all processes.
+FIRST = ("test_lint.py", "test_stereo_calibration.py", "test_collected.py", "test_boards.py")
+PRIORITY = pytest.StashKey[bool]()
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The tests of the graph first: with several processes they take longest."""
-    items.sort(key=lambda item: item.get_closest_marker("graph") is None)
+    items.sort(key=lambda item: (item.get_closest_marker("graph") is None, item.path.name not in FIRST))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Of several processes, the one of the graph, which mostly waits, has the cores when it needs them."""
+    if "PYTEST_XDIST_WORKER" in os.environ and PRIORITY not in item.config.stash:
+        item.config.stash[PRIORITY] = item.get_closest_marker("graph") is not None
+        os.nice(0 if item.config.stash[PRIORITY] else 5)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Of several processes, one runs all tests of the graph, so that no two graphs compete; files stay together."""
     from xdist.scheduler import LoadScopeScheduling
+
+    config.option.loadscopereorder = False  # the order of the items
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:

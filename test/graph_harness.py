@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import signal
@@ -27,11 +28,12 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
 
+from stereo_depth_ros.core.rig import StereoRig  # noqa: E402
 from stereo_depth_ros.core.types import U8  # noqa: E402
 from stereo_depth_ros.messages.camera_info import camera_info_message  # noqa: E402
 from stereo_depth_ros.messages.image import image_message  # noqa: E402
 from stereo_depth_ros.nodes.message_types import RclpyTypes  # noqa: E402
-from stereo_depth_ros.synthetic.sequence import SyntheticSequence  # noqa: E402
+from stereo_depth_ros.synthetic.sequence import SyntheticFrame, SyntheticSequence  # noqa: E402
 
 __all__ = ["NS_PER_S", "Graph", "NodeProcess", "StereoCamera", "image_pixels", "parameter_value", "ros_arguments"]
 
@@ -55,14 +57,18 @@ def ros_arguments(
     return ["--ros-args", *arguments] if arguments else []
 
 
+@functools.cache
+def _rendered(frames: int, width: int, height: int) -> tuple[StereoRig, list[SyntheticFrame]]:
+    sequence = SyntheticSequence(frames, width, height)
+    return sequence.rig, sequence[:]
+
+
 class StereoCamera:
     """Messages of a synthetic stereo camera: small, verged, distorted, and with the truth."""
 
     def __init__(self, frames: int = 3, width: int = 200, height: int = 120) -> None:
         self.types = RclpyTypes()
-        sequence = SyntheticSequence(frames=frames, width=width, height=height)
-        self.rig = sequence.rig
-        self.frames = sequence[:]
+        self.rig, self.frames = _rendered(frames, width, height)
 
     def infos(self, stamp_ns: int) -> dict[str, Any]:
         """Both camera infos, by topic."""

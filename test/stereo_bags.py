@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -17,15 +19,33 @@ from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp
 from stereo_depth_ros.messages.image import compressed_message, image_message
 from stereo_depth_ros.synthetic.bag import write_synthetic_bag
-from stereo_depth_ros.synthetic.sequence import SyntheticSequence
+from stereo_depth_ros.synthetic.sequence import SyntheticFrame, SyntheticSequence
 
 WIDTH, HEIGHT = 200, 150
 PARAMETERS = {"disparity_range": 32, "speckle_size": 20}
 
 
+class _RenderedOnce(SyntheticSequence):
+    """A frame depends on its index only."""
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return super().__getitem__(index)
+        return _frame(range(len(self))[index])
+
+
+@functools.cache
+def _frame(index: int) -> SyntheticFrame:
+    frame = SyntheticSequence(index + 1, WIDTH, HEIGHT)[index]
+    for image in (frame.pair.left, frame.pair.right):
+        image.pixels.flags.writeable = False
+    return frame
+
+
+@functools.cache
 def sequence(frames: int) -> SyntheticSequence:
-    """Frames every 100 ms."""
-    return SyntheticSequence(frames, WIDTH, HEIGHT)
+    """Frames every 100 ms; their images are read-only, as the tests share them."""
+    return _RenderedOnce(frames, WIDTH, HEIGHT)
 
 
 def write_truth_bag(path: Path, frames: int) -> SyntheticSequence:

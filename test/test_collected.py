@@ -28,8 +28,9 @@ def run(root: Path, *arguments: str, data: Path | None = None, **files: str) -> 
     for name, text in files.items():
         (root / "test" / f"{name}.py").write_text(text)
     environment = {**os.environ, "PYTHONPATH": str(ROOT / ".ci"), "STEREO_DATA": str(data or root / "absent")}
-    environment.pop("PYTEST_ADDOPTS", None)
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "completeness", "-p", "no:cacheprovider", *arguments]
+    # the plugins of other packages take seconds to import
+    environment |= {"PYTEST_ADDOPTS": "-p no:cacheprovider", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "xdist", "-p", "completeness", *arguments]
     done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=60)
     return done.returncode, done.stdout + done.stderr
 

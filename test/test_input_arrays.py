@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,61 +21,66 @@ from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 NAMES = [name for name in MATCHERS if name != "onnx"]  # which needs a network
 SCENE = SyntheticSequence(frames=1, width=120, height=90)
-PAIR = SCENE[0].pair
-LEFT, RIGHT = PAIR.left.pixels, PAIR.right.pixels
+
+
+@pytest.fixture(scope="module")
+def pair() -> StereoPair:
+    return SCENE[0].pair
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_views_give_what_their_copies_give(name: str) -> None:
+def test_views_give_what_their_copies_give(name: str, pair: StereoPair) -> None:
     matcher = create_matcher(name, num_disparities=32, correlation_window_size=7)
-    wide = np.zeros((90, 120, 3), np.uint8)
-    wide[..., 1] = LEFT
-    expected = matcher.match(LEFT, RIGHT)
-    for left, right in ((wide[..., 1], RIGHT), (np.asfortranarray(LEFT), RIGHT[::-1][::-1])):
+    rows_left, rows_right = pair.left.pixels[:36], pair.right.pixels[:36]  # some matchers take seconds
+    wide = np.zeros((36, 120, 3), np.uint8)
+    wide[..., 1] = rows_left
+    expected = matcher.match(rows_left, rows_right)
+    for left, right in ((wide[..., 1], rows_right), (np.asfortranarray(rows_left), rows_right[::-1][::-1])):
         assert not left.flags.c_contiguous
         np.testing.assert_array_equal(matcher.match(left, right).disparity_px, expected.disparity_px)
-    mirrored = LEFT[:, ::-1], RIGHT[:, ::-1]
+    mirrored = rows_left[:, ::-1], rows_right[:, ::-1]
     flipped, copied = matcher.match(*mirrored), matcher.match(*(np.ascontiguousarray(image) for image in mirrored))
     np.testing.assert_array_equal(flipped.disparity_px, copied.disparity_px)
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
-    ("left", "right"),
+    "change",
     [
-        (LEFT.astype(np.uint16), RIGHT.astype(np.uint16)),
-        (LEFT.astype(np.float32), RIGHT),
-        (LEFT, RIGHT.astype(np.int8)),
-        (LEFT[..., None].repeat(3, axis=2), RIGHT),
-        (LEFT[:80], RIGHT),
-        (LEFT > 100, RIGHT > 100),
+        lambda left, right: (left.astype(np.uint16), right.astype(np.uint16)),
+        lambda left, right: (left.astype(np.float32), right),
+        lambda left, right: (left, right.astype(np.int8)),
+        lambda left, right: (left[..., None].repeat(3, axis=2), right),
+        lambda left, right: (left[:80], right),
+        lambda left, right: (left > 100, right > 100),
     ],
     ids=["uint16", "float32", "int8", "color", "sizes", "bool"],
 )
-def test_what_cannot_be_matched_is_an_image_error(name: str, left: Any, right: Any) -> None:
+def test_what_cannot_be_matched_is_an_image_error(name: str, change: Callable[..., Any], pair: StereoPair) -> None:
+    images = change(pair.left.pixels, pair.right.pixels)
     with pytest.raises(ImageError):
-        create_matcher(name, num_disparities=32, correlation_window_size=7).match(left, right)
+        create_matcher(name, num_disparities=32, correlation_window_size=7).match(*images)
 
 
-def test_the_pipeline_leaves_its_input_as_it_is() -> None:
-    left, right = LEFT.copy(), RIGHT.copy()
+def test_the_pipeline_leaves_its_input_as_it_is(pair: StereoPair) -> None:
+    left, right = pair.left.pixels.copy(), pair.right.pixels.copy()
     frames = Frame(left, 5, SCENE.rig.left.frame_id), Frame(right, 5, SCENE.rig.right.frame_id)
     result = StereoPipeline(PipelineConfig(), SCENE.rig).process(StereoPair(*frames))
     assert result.points().shape == (90, 120, 3)
     assert result.disparity.confidence is not None
-    np.testing.assert_array_equal(left, LEFT)
-    np.testing.assert_array_equal(right, RIGHT)
+    np.testing.assert_array_equal(left, pair.left.pixels)
+    np.testing.assert_array_equal(right, pair.right.pixels)
     with pytest.raises(ValueError, match="read-only"):
         result.rectified.left[0, 0] = 1
 
 
-def test_maps_are_built_once_a_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_maps_are_built_once_a_rig(pair: StereoPair, monkeypatch: pytest.MonkeyPatch) -> None:
     built: list[object] = []
     build = rectification._build_maps
     monkeypatch.setattr(rectification, "_build_maps", lambda camera: built.append(camera) or build(camera))
     pipeline = StereoPipeline(PipelineConfig(), SCENE.rig)
     assert built == [SCENE.rig.left, SCENE.rig.right]
-    assert pipeline.process(PAIR).disparity.valid_fraction > 0
+    assert pipeline.process(pair).disparity.valid_fraction > 0
     assert len(built) == 2
 
 

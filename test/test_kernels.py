@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -41,9 +42,26 @@ print(kernel.kernel(7), kernel.other(7))
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Two kernels, one of which calls a helper in another file."""
-    (tmp_path / "kernel.py").write_text(KERNEL)
-    write_helper(tmp_path, "value + 1")
-    return tmp_path
+    return write_kernels(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def once_compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = write_kernels(tmp_path_factory.mktemp("compiled"))
+    assert run(folder) == ["compiling 1 2", "compiling 2 2", "8 6"]
+    return folder
+
+
+@pytest.fixture
+def compiled_folder(once_compiled: Path, tmp_path: Path) -> Path:
+    """The same with the code of both on disk."""
+    return shutil.copytree(once_compiled, tmp_path, dirs_exist_ok=True)
+
+
+def write_kernels(folder: Path) -> Path:
+    (folder / "kernel.py").write_text(KERNEL)
+    write_helper(folder, "value + 1")
+    return folder
 
 
 def write_helper(folder: Path, expression: str, comment: str = "") -> None:
@@ -66,19 +84,17 @@ def run(folder: Path, code: str = RUN) -> list[str]:
     return output.splitlines()
 
 
-def test_code_is_loaded_from_disk_until_it_or_a_helper_changes(folder: Path) -> None:
-    assert run(folder) == ["compiling 1 2", "compiling 2 2", "8 6"]
-    assert run(folder) == ["8 6"]
-    write_helper(folder, "value * 10")
-    assert run(folder) == ["compiling 1 1", "70 6"], "the kernel that calls the helper, and only that one"
+def test_code_is_loaded_from_disk_until_it_or_a_helper_changes(compiled_folder: Path) -> None:
+    assert run(compiled_folder) == ["8 6"]
+    write_helper(compiled_folder, "value * 10")
+    assert run(compiled_folder) == ["compiling 1 1", "70 6"], "the kernel that calls the helper, and only that one"
 
 
-def test_moved_lines_and_other_files_compile_nothing(folder: Path) -> None:
-    run(folder)
-    write_helper(folder, "value + 1", comment="# a comment\n\n\n")
-    (folder / "kernel.py").write_text(f'"""A new docstring."""\n\n{KERNEL}')
-    (folder / "plot.py").write_text("color = 1\n")
-    assert run(folder) == ["8 6"]
+def test_moved_lines_and_other_files_compile_nothing(compiled_folder: Path) -> None:
+    write_helper(compiled_folder, "value + 1", comment="# a comment\n\n\n")
+    (compiled_folder / "kernel.py").write_text(f'"""A new docstring."""\n\n{KERNEL}')
+    (compiled_folder / "plot.py").write_text("color = 1\n")
+    assert run(compiled_folder) == ["8 6"]
 
 
 def test_constants_are_part_of_the_code(folder: Path) -> None:
@@ -97,11 +113,10 @@ def test_of_concurrent_processes_one_compiles(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [b"", b"\x80\x04cno_such_module\nname\n."], ids=["cut", "module that is missing"])
-def test_a_cache_that_cannot_be_loaded_is_compiled_again(folder: Path, damage: bytes) -> None:
-    run(folder)
-    for path in (folder / "__pycache__").glob("kernel.*.nbc"):
+def test_a_cache_that_cannot_be_loaded_is_compiled_again(compiled_folder: Path, damage: bytes) -> None:
+    for path in (compiled_folder / "__pycache__").glob("kernel.*.nbc"):
         path.write_bytes(damage)
-    assert run(folder)[-1] == "8 6"
+    assert run(compiled_folder)[-1] == "8 6"
 
 
 def test_code_that_refers_to_generated_functions_is_loaded() -> None:

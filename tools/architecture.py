@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -101,14 +102,15 @@ def role(path: Path) -> str:
     return (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n")[0]
 
 
-def read_imports(root: Path) -> list[Import]:
+@functools.cache
+def read_imports(root: Path) -> tuple[Import, ...]:
     """Every import in the package, also inside functions, under TYPE_CHECKING, and by ``import_module("name")``."""
     known = modules(root)
-    return [
+    return tuple(
         Import(path.relative_to(root).as_posix(), line, name, imported)
         for name, path in known.items()
         for line, imported in _imports_of(ast.parse(path.read_text(encoding="utf-8")), known)
-    ]
+    )
 
 
 def render_tree(root: Path) -> str:

@@ -240,9 +240,12 @@ def pixel_rays(first: int, last: int, K: F64, D: F64, rays: F64) -> None:
             xd = ((col + 0.5) / n - 0.5 - K[0, 2]) / K[0, 0]
             x, y = xd, yd
             for _ in range(50):  # each step reduces the error by a factor of 3 in the corners, and by more inside
+                before = (x, y)
                 r2 = x * x + y * y
                 radial = 1.0 + r2 * (D[0] + r2 * (D[1] + r2 * D[4]))
                 dx = 2.0 * D[2] * x * y + D[3] * (r2 + 2.0 * x * x)
                 dy = D[2] * (r2 + 2.0 * y * y) + 2.0 * D[3] * x * y
                 x, y = (xd - dx) / radial, (yd - dy) / radial
+                if (x, y) == before:
+                    break
             rays[row, col, 0], rays[row, col, 1] = x, y

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -107,7 +108,6 @@ class SyntheticSequence(Sequence[SyntheticFrame]):
         self.rate_hz = rate_hz
         self._frames = frames
         self._primitives = self.scene.packed()
-        self._rays = tuple(_rays(camera) for camera in (self.rig.left, self.rig.right))
 
     def __len__(self) -> int:
         return self._frames
@@ -147,6 +147,10 @@ class SyntheticSequence(Sequence[SyntheticFrame]):
             Frame(left, stamp_ns, self.rig.left.frame_id), Frame(right, stamp_ns, self.rig.right.frame_id)
         )
 
+    @functools.cached_property
+    def _rays(self) -> tuple[F64, F64]:
+        return _rays_of(self.rig.left), _rays_of(self.rig.right)
+
     def _image(self, side: int, index: int, rotation: F64, center: F64) -> U8:
         image = np.empty((self.rig.height, self.rig.width), np.uint8)
         pixel_rad = 1.0 / float(self.rig.left.K[0, 0])
@@ -176,7 +180,7 @@ class SyntheticSequence(Sequence[SyntheticFrame]):
         return visible
 
 
-def _rays(camera: CameraModel) -> F64:
+def _rays_of(camera: CameraModel) -> F64:
     rays = np.empty((SUPERSAMPLING * camera.height, SUPERSAMPLING * camera.width, 2))
     run_bands(pixel_rays, len(rays), camera.K, camera.D, rays)
     return rays
