@@ -57,9 +57,7 @@ def test_progress_counts_the_part_that_is_read(bags: tuple[Path, Path]) -> None:
     process_bag(selection, bags[1], CONFIG, lambda done, total: calls.append((done, total)), overwrite=True)
     assert calls == [(1, 2), (2, 2)]
     empty = BagSelection(bags[0], start_seconds=0.05, duration_seconds=0.01)
-    with pytest.raises(
-        BagError, match=r"processed: there are none from 0\.05 to 0\.060 s of 0\.200 s"
-    ):
+    with pytest.raises(BagError, match=r"processed: there are none from 0\.05 to 0\.060 s of 0\.200 s"):
         process_bag(empty, bags[1], CONFIG, overwrite=True)
 
 
