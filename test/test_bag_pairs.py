@@ -73,6 +73,27 @@ def test_part_of_a_bag_by_seconds(odd_bag: Path) -> None:
         assert [pair.stamp_ns for pair in bag.pairs()] == [sequence(5).stamp_ns(2)]
 
 
+@pytest.mark.parametrize(
+    ("start_s", "duration_s", "count", "part"),
+    [
+        (0.0, 0.0, 5, ""),
+        (0.1, 0.0, 4, "from 0.1 to 0.400 s of 0.400 s"),
+        (0.1, 0.15, 2, "from 0.1 to 0.250 s of 0.400 s"),
+        (0.0, 9.0, 5, "from 0 to 0.400 s of 0.400 s"),
+        (0.3, 9.0, 2, "from 0.3 to 0.400 s of 0.400 s"),
+    ],
+)
+def test_count_is_that_of_the_part(odd_bag: Path, start_s: float, duration_s: float, count: int, part: str) -> None:
+    with BagPairs(BagSelection(odd_bag, None, None, start_s, duration_s), EXACT) as bag:
+        assert (bag.count, bag.part) == (count, part)
+        assert len(list(bag.pairs())) <= count
+
+
+def test_a_part_after_the_end_is_refused_with_the_length(odd_bag: Path) -> None:
+    with pytest.raises(ConfigError, match=r"start at 0\.5 s is beyond the end, the bag is 0\.400 s long: begin"):
+        BagPairs(BagSelection(odd_bag, start_seconds=0.5), EXACT)
+
+
 def test_late_right_images_need_approximate_pairing(tmp_path: Path) -> None:
     path = tmp_path / "late.mcap"
     write_odd_bag(path, 3, right_late_ns=3_000_000)

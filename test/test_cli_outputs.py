@@ -282,8 +282,8 @@ def test_a_failed_replay_keeps_the_earlier_result(
     output = tmp_path / "good.mcap"
     output.write_text("good")
     code, _, err = run("replay", bag, "-o", output, "--start", "50", "--overwrite", *PARAM_ARGUMENTS)
-    assert code == 1
-    assert "no pair after 50 s" in err
+    assert code == 2
+    assert "start at 50 s is beyond the end, the bag is 0.100 s long: begin earlier (--start)" in err
     assert output.read_text() == "good"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["good.mcap", "in.mcap"]
 

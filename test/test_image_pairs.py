@@ -129,3 +129,38 @@ def test_patterns(tmp_path: Path) -> None:
     assert found(tmp_path, "a/x*.png", "b/y*.png") == [("a/x1.png", "b/y01.png"), ("a/x2.png", "b/y02.png")]
     with pytest.raises(BagError, match=r"1 images such as left1\.png and none of the right camera"):
         find_image_pairs(tmp_path, "left*", "nothing*")
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "names"),
+    [
+        ("cam*/*.png", None, ["cam1/0001.png", "cam2/0001.png", "cam1/0002.png", "cam2/0002.png"]),
+        ("cam*/0001.png", None, ["cam0/0001.png", "cam1/0001.png"]),
+        (None, "cam*/0001.png", ["camA/0001.png", "camB/0001.png"]),
+        ("img*.png", "img*.png", ["imgL01.png", "imgR01.png", "imgL2.png", "imgR2.png"]),
+        ("img*.png", None, ["img_l_1.png", "img_r_1.png"]),
+        ("*.png", None, ["rail_Lx1.png", "rail_Rx1.png", "rail_Lx2.png", "rail_Rx2.png"]),
+        ("img*L.png", "img*R.png", ["img7L.png", "img7R.png"]),
+        ("*_l.png", "*_r.png", ["1_l.png", "1_r.png", "02_l.png", "02_r.png"]),
+        ("le*.png", "ri*.png", ["left01.png", "right01.png"]),
+        ("a/*", "b/*", ["a/fooL1.png", "b/fooR1.png", "a/fooL2.png", "b/fooR2.png"]),
+        (None, None, ["imgL01.png", "imgR01.png", "imgL02.png", "imgR02.png"]),
+    ],
+)
+def test_patterns_with_a_wildcard_for_the_camera(
+    tmp_path: Path, left: str | None, right: str | None, names: list[str]
+) -> None:
+    assert found(touch(tmp_path, *names), left, right) == list(zip(names[::2], names[1::2], strict=True))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("left*.png", ["left1.png", "left2.png", "left3.png", "right1.png"]),
+        ("cam*/*.png", ["cam1/1.png", "cam2/1.png", "cam3/1.png"]),
+        ("none*", ["left1.png", "right1.png"]),
+    ],
+)
+def test_one_pattern_that_does_not_match_both_cameras(tmp_path: Path, pattern: str, names: list[str]) -> None:
+    with pytest.raises(BagError, match=r"one pattern alone, .* does not match the files of both cameras: give both"):
+        find_image_pairs(touch(tmp_path, *names), pattern)

@@ -51,6 +51,16 @@ def test_every_pair_gives_every_output_with_the_depth_of_the_truth(bags: tuple[P
     assert {"rectify", "match", "depth"} <= set(result.stages_ms)
 
 
+def test_progress_counts_the_part_that_is_read(bags: tuple[Path, Path]) -> None:
+    calls: list[tuple[int, int]] = []
+    selection = BagSelection(bags[0], start_seconds=0.1)
+    process_bag(selection, bags[1], CONFIG, lambda done, total: calls.append((done, total)), overwrite=True)
+    assert calls == [(1, 2), (2, 2)]
+    empty = BagSelection(bags[0], start_seconds=0.05, duration_seconds=0.01)
+    with pytest.raises(BagError, match=r"processed: there are none from 0\.05 to 0\.060 s of 0\.200 s"):
+        process_bag(empty, bags[1], CONFIG, overwrite=True)
+
+
 @pytest.mark.parametrize("name", [name for name in MATCHERS if name != "onnx"])  # needs a network
 def test_every_matcher_by_name(bags: tuple[Path, Path], name: str) -> None:
     values = {**PARAMETERS, **parse_assignments([], name)}

@@ -99,3 +99,9 @@ def test_tracker_gives_up_overdue_pairs_and_reports_the_missing_outputs() -> Non
     assert tracker.pending == 1
     assert not tracker.received("disparity", 1_000, now_ns=400), "too late"
     assert {topic: stats.lost for topic, stats in tracker.stats().items()} == {"disparity": 2, "points2": 1}
+
+
+def test_the_rate_of_an_offline_run_does_not_count_its_warm_up() -> None:
+    report = report_of(wall_s=12.0, warm_up_s=10.0, pairs=5)
+    assert report.frames_per_second == 2.0
+    assert report_of(wall_s=4.0, warm_up_s=4.0, pairs=1).frames_per_second == 0.25

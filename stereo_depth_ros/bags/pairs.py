@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -184,13 +185,16 @@ class BagPairs:
 
     Attributes:
         topics: topics that are read.
-        count: images of the left camera in the whole bag, an upper bound of the number of pairs.
+        count: images of the left camera in the part that is read, by its share of the time of the bag: about as many
+            pairs are read at most.
+        part: which part that is, in words; empty for the whole bag.
         unpaired_left, unpaired_right: images without a partner; final when :meth:`pairs` is exhausted.
         losses: why most images are in no pair, and what was left out, a sentence each; final as those.
         warning: one sentence about a bag that is cut; empty where it is complete.
 
     Raises:
         BagError, TopicError: no bag, no stereo pair in it, or no camera infos.
+        ConfigError: the part begins after the end of the bag.
     """
 
     def __init__(self, selection: BagSelection, pairing: PairingConfig) -> None:
@@ -200,10 +204,11 @@ class BagPairs:
         self._reader = BagReader(selection.path)
         try:
             self.topics, self._info_topics = self._find_topics()
-        except TopicError:
+            share, self.part = self._part()
+        except (ConfigError, TopicError):
             self._reader.close()
             raise
-        self.count = self._reader.topics[self.topics.left_image].count
+        self.count = math.ceil(share * self._reader.topics[self.topics.left_image].count)
         self.unpaired_left = self.unpaired_right = 0
         self.losses: tuple[str, ...] = ()
         self.warning = self._reader.warning
@@ -254,6 +259,25 @@ class BagPairs:
             yield str(cause_of_loss(arrivals, names, self._pairing_config))
         if counts.duplicates:
             yield f"{counts.duplicates} images left out, {cause_of_duplicates(names)}"
+
+    def _part(self) -> tuple[float, str]:
+        """The share of the bag's time that is read, and the part in words."""
+        start_s, duration_s = self._selection.start_seconds, self._selection.duration_seconds
+        length_s = (self._reader.end_ns - self._reader.start_ns) / 1e9
+        if start_s > length_s:
+            raise ConfigError(
+                f"start at {start_s:g} s is beyond the end, the bag is {length_s:.3f} s long",
+                subject=str(self._selection.path),
+                value=start_s,
+                limit=length_s,
+                remedy="begin earlier",
+                settings=("start_seconds",),
+            )
+        if not start_s and not duration_s:
+            return 1.0, ""
+        end_s = min(start_s + duration_s, length_s) if duration_s else length_s
+        share = (end_s - start_s) / length_s if length_s else 1.0
+        return share, f"from {start_s:g} to {end_s:.3f} s of {length_s:.3f} s"
 
     def _find_topics(self) -> tuple[StereoTopics, tuple[str, str]]:
         topics = self._reader.stereo_topics(self._selection.left, self._selection.right)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TypeAlias
@@ -28,6 +28,8 @@ _DIGIT = r"(?:(?<=cam)|(?<=camera)|(?<=cam_)|(?<=camera_)|(?<=image_)){}(?!\d)"
 _DIGITS = (re.compile(_DIGIT.format("0")), re.compile(_DIGIT.format("1")))
 _ANY_DIGIT = re.compile(_DIGIT.format("[01]"))
 _FOLDER_PREFIXES = ("", "cam", "cam_", "camera", "camera_", "image_")
+_BEFORE_NUMBER = re.compile(r"(cam|camera|image|view|sensor)[_-]?$")
+_WILDCARD = re.compile(r"(\*\*/|\*|\?)")
 _MASK = re.compile(r"masks?(?![a-z])")
 _NUMBER = re.compile(r"(\d+(?:\.\d+)*)")
 
@@ -51,25 +53,44 @@ def find_image_pairs(folder: Path, left: str | None = None, right: str | None = 
     """Pairs of files whose paths differ only in the camera: left, right; l, r; cam0, cam1; image_0, image_1.
 
     Leading zeros, case and the suffixes of image files are ignored. The side is given by a folder named after a camera,
-    or else by the file name. Files named mask and hidden files are ignored.
+    or else by the file name; where no name has such a word, by one letter, as in imgL01.png and imgR01.png. Files named
+    mask and hidden files are ignored.
 
     Args:
         folder: holds the images, itself or in folders below.
-        left, right: patterns such as "a/*.png" and "b/*.png", both or neither; in a pair the wildcards match equal
-            text.
+        left, right: patterns such as "a/*.png" and "b/*.png"; in a pair the wildcards match text that is equal but for
+            the camera. One pattern, or twice the same, stands for the files of both cameras, where a wildcard matches
+            the camera: "cam*/*.png" of cam1 and cam2, "img*.png" of imgL01.png and imgR01.png.
 
     Raises:
         BagError: no pairs, files of one side only, or two files that could be the same image of a pair.
     """
     skipped: dict[Path, str] = {}
-    if left is not None and right is not None:
+    whole: tuple[Texts, Texts] | None = None
+    one = left or right if None in (left, right) or left == right else None
+    if one is not None and any(texts := _by_one_pattern(folder, one)):
+        pass
+    elif one is not None and None in (left, right):
+        raise BagError(
+            f"one pattern alone, {one}, does not match the files of both cameras",
+            subject=str(folder),
+            value=one,
+            remedy="give both patterns, or none",
+            settings=("left", "right"),
+        )
+    elif left is not None and right is not None:
         texts = _by_pattern(folder, left), _by_pattern(folder, right)
         _check_patterns(*texts)
+        whole = _paths(folder, texts[0]), _paths(folder, texts[1])
     else:
-        texts, skipped = _by_word(folder)
+        texts, skipped = _by_word(_paths(folder, _images(folder)))
+        if not any(texts):
+            texts = _by_letter(_paths(folder, _images(folder)))
+    whole = texts if whole is None else whole  # a wildcard may cut the word for the camera
     _check_sides(folder, *texts)
-    for common in (_without_words, _without_words_and_digits):
-        sides = [_grouped(side, common) for side in texts]
+    ways = [(each, way) for each in (texts, whole) for way in (_without_words, _without_words_and_digits)]
+    for files, common in (*ways, (texts, _without_letter(texts))):
+        sides = [_grouped(side, common) for side in files]
         if keys := sorted(sides[0].keys() & sides[1].keys()):
             break
     else:
@@ -84,6 +105,10 @@ def find_image_pairs(folder: Path, left: str | None = None, right: str | None = 
     return ImagePairs(pairs, list(skipped), list(skipped.values()))
 
 
+def _paths(folder: Path, files: Iterable[Path]) -> Texts:
+    return {path: path.relative_to(folder).as_posix().lower() for path in files}
+
+
 def _images(folder: Path) -> list[Path]:
     levels = ("*/" * depth + "*" for depth in range(_DEPTH))
     return sorted(path for level in levels for path in folder.glob(level) if _is_image(path.relative_to(folder)))
@@ -95,12 +120,11 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".") and not is_mask
 
 
-def _by_word(folder: Path) -> tuple[tuple[Texts, Texts], dict[Path, str]]:
-    """The files of both sides, and a warning for each that could be of either."""
+def _by_word(files: Texts) -> tuple[tuple[Texts, Texts], dict[Path, str]]:
+    """The files of both sides by the words in their paths, and a warning for each that could be of either."""
     sides: tuple[Texts, Texts] = {}, {}
     unclear: dict[Path, str] = {}
-    for path in _images(folder):
-        text = path.relative_to(folder).as_posix().lower()
+    for path, text in files.items():
         named = _named_sides(text)
         if len(named) == 1:
             sides[named.pop()][path] = text
@@ -125,14 +149,69 @@ def _is_camera(part: str, side: int) -> bool:
     return any(word.search(part) and word.sub("", part) in _FOLDER_PREFIXES for word in (_WORDS[side], _DIGITS[side]))
 
 
+def _by_letter(files: Texts) -> tuple[Texts, Texts]:
+    """The files of both sides where a pair differs in one letter, l and r."""
+    twins = _twins(files.values(), files.values())
+    right = set(twins.values())
+    return (
+        {path: text for path, text in files.items() if text in twins and text not in right},
+        {path: text for path, text in files.items() if text in right and text not in twins},
+    )
+
+
+def _twins(left: Iterable[str], right: Iterable[str]) -> dict[str, str]:
+    """Left texts to the right ones that differ in one letter, r for l, where there is one only."""
+    known = set(right)
+    found = {
+        text: {t for at in range(len(text)) if text[at] == "l" and (t := f"{text[:at]}r{text[at + 1 :]}") in known}
+        for text in left
+    }
+    return {text: twins.pop() for text, twins in found.items() if len(twins) == 1}
+
+
+def _by_one_pattern(folder: Path, pattern: str) -> tuple[Texts, Texts]:
+    """The files of both sides among those that match: by words, by two values of a wildcard, by one letter."""
+    matches = _matches(folder, pattern)
+    files = _paths(folder, matches)
+    sides, _ = _by_word(files)
+    if all(sides):
+        return sides
+    before = [text.lower() for text in _WILDCARD.split(pattern)[::2]]
+    for number in range(len(next(iter(matches.values()), ()))):
+        values = sorted({groups[number] for groups in matches.values()})
+        if len(values) == 2 and _are_cameras(before[number] + values[0], before[number] + values[1]):
+            sides = {}, {}
+            for path, groups in matches.items():
+                rest = (*groups[:number], *groups[number + 1 :])
+                sides[values.index(groups[number])][path] = "|".join(("*", *rest))
+            return sides
+    return _by_letter(files)
+
+
+def _are_cameras(left: str, right: str) -> bool:
+    """Whether two texts differ as the names of cameras: in l and r, a and b, or in the number of a camera."""
+    different = [(at, *pair) for at, pair in enumerate(zip(left, right, strict=False)) if pair[0] != pair[1]]
+    if len(left) != len(right) or len(different) != 1:
+        return False
+    at, one, other = different[0]
+    if one.isdigit() and other.isdigit():
+        return int(other) == int(one) + 1 and bool(_BEFORE_NUMBER.search(left[:at]))
+    return (one, other) in (("l", "r"), ("a", "b"))
+
+
 def _by_pattern(folder: Path, pattern: str) -> Texts:
     """Files that match, with the text that the wildcards of the pattern match."""
-    parts = re.split(r"(\*\*/|\*|\?)", pattern)
+    # "*" stands for the word for the camera, which is part of the pattern
+    return {path: "|".join(("*", *groups)) for path, groups in _matches(folder, pattern).items()}
+
+
+def _matches(folder: Path, pattern: str) -> dict[Path, tuple[str, ...]]:
+    """Files that match, each with what the wildcards of the pattern match, in lower case."""
+    parts = _WILDCARD.split(pattern)
     wild = {"**/": "((?:.*/)?)", "*": "([^/]*)", "?": "([^/])"}
     expression = re.compile("".join(wild.get(part, re.escape(part)) for part in parts))
     matches = ((path, expression.fullmatch(path.relative_to(folder).as_posix())) for path in _images(folder))
-    # "*" stands for the word for the camera, which is part of the pattern
-    return {path: "|".join(("*", *match.groups())).lower() for path, match in matches if match}
+    return {path: tuple(text.lower() for text in match.groups()) for path, match in matches if match}
 
 
 def _without_words(text: str) -> Key:
@@ -144,6 +223,12 @@ def _without_words_and_digits(text: str) -> Key:
     text = _ANY_WORD.sub("*", text)
     is_frame = "*" in text and len(_NUMBER.findall(text)) == 1
     return _key(text if is_frame else _ANY_DIGIT.sub("*", text))
+
+
+def _without_letter(texts: tuple[Texts, Texts]) -> Callable[[str], Key]:
+    """Right texts become the left ones from which they differ in one letter."""
+    left = {twin: text for text, twin in _twins(texts[0].values(), texts[1].values()).items()}
+    return lambda text: _key(left.get(text, text))
 
 
 def _key(text: str) -> Key:

@@ -80,26 +80,20 @@ class FolderImages:
 
     Args:
         folder: holds the images.
-        left, right: patterns such as "a/*.png" and "b/*.png"; None uses the words for the cameras.
+        left, right: patterns such as "a/*.png" and "b/*.png", or one for both, see :func:`find_image_pairs`; None uses
+            the words for the cameras.
 
     Raises:
-        BagError: one pattern alone, or what :func:`find_image_pairs` raises.
+        BagError: see :func:`find_image_pairs`.
     """
 
     dense = False
 
     def __init__(self, folder: Path, left: str | None = None, right: str | None = None) -> None:
-        if (left is None) != (right is None):
-            raise BagError(
-                "one pattern alone does not name the files of the other camera",
-                value=(left, right),
-                remedy="give both patterns, or none",
-                settings=_SETTINGS,
-            )
         try:
             found = find_image_pairs(folder, left, right)
         except BagError as error:
-            if left is not None:
+            if left is not None or right is not None:
                 raise
             raise BagError(
                 error.problem,

@@ -47,7 +47,7 @@ def process_bag(
         selection: bag, topics and part of it.
         output: the bag to write.
         config: parameters of all stages.
-        progress: called with the pairs done and an upper bound of all pairs.
+        progress: called with the pairs done and about how many there are at most.
         overwrite: replace an existing output.
         strict: raise what is a warning otherwise: the first pairs do not fit the calibration, see :class:`FirstPairs`.
 
@@ -64,7 +64,7 @@ def process_bag(
     engine = _Engine(config)
     with BagPairs(selection, config.pairing) as pairs:
         with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
-            start, sent, skipped = time.perf_counter(), 0, 0
+            start, warm_up_s, sent, skipped = time.perf_counter(), 0.0, 0, 0
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
                     timings_ms = engine.process(pair, pairs.topics.image_type, writer)
@@ -79,12 +79,15 @@ def process_bag(
                     for stage, ms in timings_ms.items():
                         stages_ms[stage].append(ms)
                 _refuse(engine.fault, selection.path, strict)
-                progress(sent, pairs.count)
+                warm_up_s = warm_up_s or time.perf_counter() - start
+                progress(sent, max(sent, pairs.count))
             wall_s = time.perf_counter() - start
             engine.finish()
             _refuse(engine.fault, selection.path, strict)
             if engine.rig is None or not writer.message_count:
-                reasons = "; ".join((*refused.values(), *pairs.losses)) or "it holds no pairs of the given pairing"
+                reasons = "; ".join((*refused.values(), *pairs.losses)) or (
+                    f"there are none {pairs.part}" if pairs.part else "it holds no pairs of the given pairing"
+                )
                 raise BagError(
                     f"no pair could be processed: {reasons}",
                     subject=str(selection.path),
@@ -101,6 +104,7 @@ def process_bag(
             outputs={},
             skipped=skipped,
             wall_s=wall_s,
+            warm_up_s=warm_up_s,
             stages_ms={stage: (percentile(times, 50), percentile(times, 95)) for stage, times in stages_ms.items()},
             score=score_disparity(output, selection.path),
             warnings=(

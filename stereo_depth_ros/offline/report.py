@@ -53,6 +53,7 @@ class RunReport:
         outputs: counts per topic; empty offline.
         skipped: pairs that could not be processed, offline; live they are lost outputs.
         wall_s: seconds from the first pair sent to the last output received.
+        warm_up_s: of these, until the first pair was computed, offline: what is compiled and prepared belongs to it.
         stages_ms: stage name to (p50, p95) in milliseconds, measured by the nodes or the pipeline.
         score: valid fraction and errors of the recorded disparities; None where nothing was recorded.
         realtime: whether pairs were sent in real time, so that losses are expected.
@@ -66,6 +67,7 @@ class RunReport:
     unpaired_right: int
     outputs: Mapping[str, OutputStats]
     wall_s: float
+    warm_up_s: float = 0.0
     skipped: int = 0
     stages_ms: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     score: BagScore | None = None
@@ -79,7 +81,12 @@ class RunReport:
 
     @property
     def frames_per_second(self) -> float:
-        """Pairs per second from the first pair sent to the last output received; NaN for no time."""
+        """Pairs per second from the first pair sent to the last output received; NaN for no time.
+
+        Offline, of the pairs after the first one, so that compilation and preparation do not count.
+        """
+        if self.warm_up_s and self.pairs > 1 and self.wall_s > self.warm_up_s:
+            return (self.pairs - 1) / (self.wall_s - self.warm_up_s)
         return self.pairs / self.wall_s if self.wall_s > 0 else math.nan
 
     def to_json(self) -> dict[str, Any]:

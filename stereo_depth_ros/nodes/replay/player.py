@@ -88,7 +88,7 @@ class Player:
             self._send(pair)
             if self.sent == 1 and self._proves_links:
                 self._repeat_first(pair)
-            progress(self.sent, self._options.loop * self._pairs.count)
+            progress(self.sent, max(self.sent, self._options.loop * self._pairs.count))
         self._wait_for_outputs(0)
 
     def _rounds(self) -> Iterator[SerializedPair]:
