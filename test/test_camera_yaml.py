@@ -85,7 +85,7 @@ def test_other_readers_see_numbers(camera: CameraModel) -> None:
         ("537.5", "wide", "right.yaml: a value is not a number.*wide"),
         ("image_width: 640", "image_width: [640]", "right.yaml: a value is not a number"),
         ("camera_matrix:", "camera_matrix: *K", r"right.yaml: is not plain YAML \(alias \*K"),
-        (RIGHT_YAML, "", "right.yaml: a value is not a number or a list"),
+        (RIGHT_YAML, "", "right.yaml: is not a camera file, it has no keys"),
     ],
 )
 def test_refused_files(tmp_path: Path, old: str, new: str, match: str) -> None:

@@ -13,6 +13,7 @@ import pytest
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.calibration.calibration_files import write_camera
+from stereo_depth_ros.camera_files.kitti import rig_from_calibration
 from stereo_depth_ros.core.errors import BagError, CalibrationError, ConfigError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32
@@ -20,7 +21,7 @@ from stereo_depth_ros.datasets.dataset import StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
 from stereo_depth_ros.datasets.images import ImagesDataset
-from stereo_depth_ros.datasets.kitti import KittiDataset, read_calibration, rig_from_calibration
+from stereo_depth_ros.datasets.kitti import KittiDataset, read_calibration
 from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
 from stereo_depth_ros.datasets.to_bag import convert_dataset
 from stereo_depth_ros.messages.disparity import published_disparity

@@ -53,13 +53,17 @@ def test_a_bag_without_camera_infos(tmp_path: Path) -> None:
 
 
 def test_paths_without_a_rig(folder: Path) -> None:
-    with pytest.raises(CalibrationError, match="3 paths, not 1 or 2: give LEFT"):
+    with pytest.raises(CalibrationError, match="3 paths, not 1 or 2: give the files of the left"):
         read_rig([folder] * 3)
     with pytest.raises(CalibrationError, match=r"none\.yaml: does not exist"):
         read_rig([folder / "none.yaml"])
     (folder / "right.yaml").unlink()
-    with pytest.raises(CalibrationError, match=r"left\.yaml: is one camera, and there is no right\.yaml in its folder"):
+    with pytest.raises(
+        CalibrationError, match=r"left\.yaml: .* YAML, one camera, and there is no right\.yaml in its folder"
+    ):
         read_rig([folder / "left.yaml"])
     write_camera(folder / "head.yaml", RIG.left, "head")
-    with pytest.raises(CalibrationError, match=r"head\.yaml: is one camera, and its name has neither left nor right"):
+    with pytest.raises(
+        CalibrationError, match=r"head\.yaml: .* YAML, one camera, and its name has neither left nor right"
+    ):
         read_rig([folder / "head.yaml"])

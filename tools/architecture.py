@@ -30,6 +30,7 @@ PACKAGE = "stereo_depth_ros"
 ORDER = (
     "core",
     "files",
+    "camera_files",
     "config",
     "matching",
     "stages",

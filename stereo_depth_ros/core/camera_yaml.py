@@ -5,17 +5,18 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.plain_values import entry, numbers, whole
 from stereo_depth_ros.core.safe_yaml import YamlError, load_yaml
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["camera_from_yaml", "camera_to_yaml"]
+__all__ = ["camera_from_entries", "camera_from_yaml", "camera_to_yaml"]
 
+_MATRICES = ("camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix")
 _KEYS = (
     "image_width, image_height, distortion_model, "
     "and data of camera_matrix, distortion_coefficients, rectification_matrix, projection_matrix"
@@ -43,25 +44,23 @@ def camera_from_yaml(text: str, source: str = "camera file") -> CameraModel:
             remedy="export it in the format of camera_calibration",
         ) from error
     try:
-        return CameraModel(
-            width=int(entries["image_width"]),
-            height=int(entries["image_height"]),
-            distortion_model=str(entries.get("distortion_model", "plumb_bob")),
-            K=np.array(entries["camera_matrix"]["data"], np.float64),
-            D=np.array(entries["distortion_coefficients"]["data"], np.float64),
-            R=np.array(entries["rectification_matrix"]["data"], np.float64),
-            P=np.array(entries["projection_matrix"]["data"], np.float64),
-        ).described()
-    except KeyError as error:
-        raise CalibrationError(
-            f"lacks the key {error}", subject=source, limit=_KEYS, remedy=f"a camera file has {_KEYS}"
-        ) from error
-    except (AttributeError, TypeError, ValueError, OverflowError) as error:
-        raise CalibrationError(
-            f"a value is not a number or a list of them ({error})", subject=source, remedy="write numbers"
-        ) from error
+        return camera_from_entries(entries)
     except CalibrationError as error:
         raise error.about(source) from error
+
+
+def camera_from_entries(entries: Any) -> CameraModel:
+    """The camera of the plain data of such a YAML text.
+
+    Raises:
+        CalibrationError: keys or values are missing, or are not numbers.
+    """
+    if not isinstance(entries, Mapping):
+        raise CalibrationError("is not a camera file, it has no keys", limit=_KEYS, remedy=f"a camera file has {_KEYS}")
+    width, height = (whole(entry(entries, name), name, 0) for name in ("image_width", "image_height"))
+    K, D, R, P = (numbers(entry(entries, name, "data"), name) for name in _MATRICES)
+    model = entries.get("distortion_model")
+    return CameraModel(width, height, "plumb_bob" if model is None else str(model), K, D, R, P).described()
 
 
 def camera_to_yaml(camera: CameraModel, camera_name: str) -> str:

@@ -283,7 +283,7 @@ class StereoRig:
 
 
 def _array(values: npt.ArrayLike) -> F64:
-    return np.asarray(values, dtype=np.float64)
+    return np.ascontiguousarray(values, dtype=np.float64)  # OpenCV's fisheye functions refuse parts of a matrix
 
 
 def _rectify(left: CameraModel, right: CameraModel, R: F64, T: F64, alpha: float) -> tuple[F64, F64, F64, F64]:

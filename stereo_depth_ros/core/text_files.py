@@ -10,7 +10,7 @@ from pathlib import Path
 from stereo_depth_ros.core.errors import StereoDepthError
 from stereo_depth_ros.core.in_words import in_words
 
-__all__ = ["MAX_TEXT_BYTES", "decode_text", "read_bytes", "read_text"]
+__all__ = ["MAX_TEXT_BYTES", "decode_text", "read_bytes", "read_head", "read_text"]
 
 MAX_TEXT_BYTES = 2**20  # a calibration has some kilobytes
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
@@ -33,14 +33,7 @@ def read_text(path: Path, error: type[StereoDepthError], remedy: str, most_bytes
 
 def read_bytes(path: Path, error: type[StereoDepthError], remedy: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """The bytes of a regular file; arguments and errors as of :func:`read_text`."""
-    try:
-        kind = path.stat().st_mode
-        if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):  # opening a pipe would wait for a writer
-            raise error("is a device or a pipe, not a file", subject=str(path), remedy=remedy)
-        with path.open("rb") as file:
-            data = file.read(most_bytes + 1)
-    except (OSError, ValueError) as failure:  # ValueError: a NUL character in the path
-        raise error(_why(failure), subject=str(path), remedy=remedy) from failure
+    data = read_head(path, error, remedy, most_bytes + 1)
     if len(data) > most_bytes:
         raise error(
             f"is larger than {most_bytes} bytes",
@@ -50,6 +43,18 @@ def read_bytes(path: Path, error: type[StereoDepthError], remedy: str, most_byte
             remedy=remedy,
         )
     return data
+
+
+def read_head(path: Path, error: type[StereoDepthError], remedy: str, count: int) -> bytes:
+    """The first ``count`` bytes of a regular file, or all where it has fewer; else as :func:`read_text`."""
+    try:
+        kind = path.stat().st_mode
+        if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):  # opening a pipe would wait for a writer
+            raise error("is a device or a pipe, not a file", subject=str(path), remedy=remedy)
+        with path.open("rb") as file:
+            return file.read(count)
+    except (OSError, ValueError) as failure:  # ValueError: a NUL character in the path
+        raise error(_why(failure), subject=str(path), remedy=remedy) from failure
 
 
 def decode_text(data: bytes, subject: str, error: type[StereoDepthError], remedy: str) -> str:

@@ -9,20 +9,13 @@ from __future__ import annotations
 
 import csv
 import io
-import operator
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from stereo_depth_ros.core.camera import check_rotation
+from stereo_depth_ros.camera_files.reading import read_rig_files
 from stereo_depth_ros.core.errors import BagError, CalibrationError
-from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.safe_yaml import YamlError, load_yaml
 from stereo_depth_ros.core.text_files import read_text
-from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.datasets.dataset import DatasetFrame
 from stereo_depth_ros.datasets.image_files import check_sizes, read_frame
 
@@ -99,49 +92,13 @@ def _read_index(camera: Path) -> dict[int, Path]:
 
 
 def _rig(left: Path, right: Path) -> StereoRig:
-    cameras = [_read_sensor(path) for path in (left, right)]
-    (K_left, D_left, T_body_left, size), (K_right, D_right, T_body_right, _) = cameras
-    with np.errstate(invalid="ignore", over="ignore"):  # refused by the checks of a rig
-        T_right_left = np.linalg.inv(T_body_right) @ T_body_left
-    R, T = T_right_left[:3, :3], T_right_left[:3, 3]
     try:
-        return StereoRig.from_calibration(K_left, D_left, K_right, D_right, R, T, size)
+        return read_rig_files([left, right])
     except CalibrationError as error:
-        raise error.about(f"{left} and {right}") from error
-
-
-def _read_sensor(path: Path) -> tuple[F64, F64, F64, tuple[int, int]]:
-    """K (3, 3), D (4,), T_body_camera (4, 4), (width, height) of a sensor.yaml."""
-    text = read_text(path, BagError, _COPY)
-    try:
-        sensor: dict[str, Any] = load_yaml(text)
-        fx, fy, cx, cy = sensor["intrinsics"]
-        model = sensor["distortion_model"]
-        T_body_camera = np.array(sensor["T_BS"]["data"], np.float64).reshape(4, 4)
-        T_body_camera[3] = 0, 0, 0, 1
-        D = np.array(sensor["distortion_coefficients"], np.float64)
-        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-        width, height = map(operator.index, sensor["resolution"])
-    except (YamlError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise BagError(
-            f"is not the sensor.yaml of an EuRoC camera ({_fault(error)})", subject=str(path), remedy=_COPY
+            f"is not the sensor.yaml of an EuRoC camera ({error.problem})",
+            subject=error.subject,
+            value=error.value,
+            limit=error.limit,
+            remedy=_COPY,
         ) from error
-    if model != "radial-tangential":
-        raise BagError(
-            f"distortion_model = {quoted(model)} is not supported, supported is radial-tangential",
-            subject=str(path),
-            value=model,
-            limit="radial-tangential",
-            remedy="calibrate with this model",
-        )
-    try:
-        check_rotation(T_body_camera[:3, :3], "the rotation of T_BS", str(path))
-    except CalibrationError as error:
-        raise BagError(error.problem, subject=error.subject, value=error.value, remedy=_COPY) from error
-    return K, D, T_body_camera, (width, height)
-
-
-def _fault(error: Exception) -> str:
-    if isinstance(error, YamlError):
-        return str(error)
-    return f"it has no {error.args[0]}" if isinstance(error, KeyError) else "a value is not the numbers it should be"

@@ -12,10 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.camera_files.kitti import parse_calibration, rig_from_calibration
 from stereo_depth_ros.core.errors import BagError, CalibrationError
-from stereo_depth_ros.core.quoted import quoted
-from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.text_files import read_bytes, read_text
 from stereo_depth_ros.core.types import F32, F64
 from stereo_depth_ros.datasets.dataset import DatasetFrame
@@ -28,7 +26,7 @@ from stereo_depth_ros.datasets.image_files import (
 )
 from stereo_depth_ros.datasets.kitti_stamps import frame_numbers, read_stamps
 
-__all__ = ["KittiDataset", "read_calibration", "read_truth", "rig_from_calibration"]
+__all__ = ["KittiDataset", "read_calibration", "read_truth"]
 
 # folders of left and right images, and the numbers of the two cameras
 _LAYOUTS = (
@@ -104,102 +102,16 @@ class KittiDataset:
 
 
 def read_calibration(path: Path) -> dict[str, F64]:
-    """The values of a calibration file by name, float64 (N,); rows without names are P0, P1, ...
+    """The values of a calibration file by name, as of :func:`parse_calibration`.
 
     Raises:
         BagError: not a readable text, or a row with text that is not a number.
     """
-    values: dict[str, F64] = {}
-    for row in read_text(path, BagError, _COPY).splitlines():
-        name, colon, numbers = row.rpartition(":")
-        if not row.strip() or name == "calib_time" or row.startswith("calib_time"):
-            continue
-        try:
-            values[name.strip() if colon else f"P{len(values)}"] = np.array(numbers.split(), np.float64)
-        except ValueError as error:
-            raise BagError(
-                f"is not a KITTI calibration, row {quoted(row)} has a word that is not a number",
-                subject=str(path),
-                value=row,
-                remedy=_COPY,
-            ) from error
-    return values
-
-
-def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size: tuple[int, int]) -> StereoRig:
-    """The rig of two cameras.
-
-    Images of size S_rect, and all of odometry, are rectified; images of size S are raw and have K, D, R_rect. The
-    vertical offset of some millimeters in P of the color cameras is ignored: their rows are aligned.
-
-    Args:
-        values: result of :func:`read_calibration`.
-        cameras: numbers of the left and the right camera.
-        size: (width, height) of the images, pixels.
-
-    Raises:
-        BagError: the calibration lacks these cameras, or a matrix is incomplete.
-        CalibrationError: the calibration is not that of a rectified pair.
-    """
-    left, right = cameras
+    text = read_text(path, BagError, _COPY)
     try:
-        P_left, P_right = (_projection(values, camera) for camera in cameras)
-    except KeyError as error:
-        raise _lacks(values, error) from error
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # refused by the checks of a rig
-        baseline_m = float((P_left[0, 3] - P_right[0, 3]) / P_left[0, 0])
-    rig = StereoRig.from_rectified(
-        P_left[0, 0], P_left[1, 1], P_left[0, 2], P_right[0, 2], P_left[1, 2], baseline_m, size
-    )
-    raw_size = values.get(f"S_{left:02d}")
-    if raw_size is None or tuple(raw_size) != size:
-        return rig
-    try:
-        return StereoRig(_raw_camera(values, left, rig.left), _raw_camera(values, right, rig.right))
-    except KeyError as error:
-        raise _lacks(values, error) from error
-
-
-def _lacks(values: dict[str, F64], error: KeyError) -> BagError:
-    names = quoted(", ".join(values))
-    return BagError(
-        f"the KITTI calibration has no {error.args[0]}, it has {names}",
-        value=list(values),
-        limit=error.args[0],
-        remedy="copy the calibration of these cameras",
-    )
-
-
-def _projection(values: dict[str, F64], camera: int) -> F64:
-    name = f"P{camera}" if f"P{camera}" in values else f"P_rect_{camera:02d}"
-    return _matrix(values, name, (3, 4))
-
-
-def _matrix(values: dict[str, F64], name: str, shape: tuple[int, int]) -> F64:
-    """The values of one row as a matrix; KeyError if the row is missing."""
-    found = values[name]
-    if found.size != shape[0] * shape[1]:
-        raise BagError(
-            f"{name} of the KITTI calibration has {found.size} numbers, not {shape[0] * shape[1]}",
-            value=found.size,
-            limit=shape[0] * shape[1],
-            remedy="copy the calibration again",
-        )
-    return found.reshape(shape)
-
-
-def _raw_camera(values: dict[str, F64], camera: int, rectified: CameraModel) -> CameraModel:
-    K, R = (_matrix(values, f"{name}_{camera:02d}", (3, 3)) for name in ("K", "R_rect"))
-    return CameraModel(
-        rectified.width,
-        rectified.height,
-        "plumb_bob",
-        K,
-        values[f"D_{camera:02d}"],
-        R,
-        rectified.P,
-        rectified.frame_id,
-    )
+        return parse_calibration(text)
+    except BagError as error:
+        raise error.about(path) from error
 
 
 def _find_calibration(folder: Path, image: str) -> Path:

@@ -13,8 +13,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
+from stereo_depth_ros.camera_files.middlebury import parse_rig
 from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
@@ -107,36 +106,13 @@ def _centered_rig(focal_px: float, baseline_m: float, doffs: float, size: tuple[
 
 
 def _read_rig(path: Path, size: tuple[int, int]) -> StereoRig:
-    """The rig of a calib.txt: cam0, cam1 as [fx 0 cx; 0 fy cy; 0 0 1], baseline in millimeters."""
     text = read_text(path, BagError, _COPY)
-    values = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
     try:
-        K_left, K_right = (
-            np.array([row.split() for row in values[name].strip(" []").split(";")], np.float64).reshape(3, 3)
-            for name in ("cam0", "cam1")
-        )
-        baseline_m = float(values["baseline"]) / 1000
-        calibrated = (int(values.get("width", size[0])), int(values.get("height", size[1])))
-    except (KeyError, ValueError) as error:
-        raise BagError(
-            f"is not a Middlebury calibration, which has cam0, cam1 and baseline ({_fault(error)})",
-            subject=str(path),
-            value=list(values),
-            limit=("cam0", "cam1", "baseline"),
-            remedy=_COPY,
-        ) from error
-    try:
-        rig = StereoRig.from_rectified(
-            K_left[0, 0], K_left[1, 1], K_left[0, 2], K_right[0, 2], K_left[1, 2], baseline_m, calibrated
-        )
-    except CalibrationError as error:
+        rig = parse_rig(text, size)
+    except (BagError, CalibrationError) as error:
         raise error.about(path) from error
     rig.check_image(*size, str(path))
     return rig
-
-
-def _fault(error: KeyError | ValueError) -> str:
-    return f"it has no {error.args[0]}" if isinstance(error, KeyError) else "a value is not a number"
 
 
 def _read_number(path: Path) -> float:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a rig from two calibration files, from one of them or the folder of both, or from a bag."""
+"""Reads a rig from calibration files or from a bag."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stereo_depth_ros.bags.reader import BagReader
-from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.sources import bag_files, is_bag
+from stereo_depth_ros.camera_files.reading import is_rig_folder, read_rig_files, rig_file_paths
+from stereo_depth_ros.camera_files.stored import Size
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import camera_from_info
-from stereo_depth_ros.core.errors import BagError, CalibrationError
+from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.rig import StereoRig
 
 __all__ = ["read_rig", "rig_files"]
 
-_YAML = (".yaml", ".yml")
-_REMEDY = "give LEFT.yaml and RIGHT.yaml, a folder with both, or a bag"
 
-
-def read_rig(paths: Sequence[Path], left: str | None = None, right: str | None = None) -> StereoRig:
+def read_rig(
+    paths: Sequence[Path], left: str | None = None, right: str | None = None, size: Size | None = None
+) -> StereoRig:
     """The rig of one or two paths.
 
     Args:
-        paths: LEFT.yaml and RIGHT.yaml in the format of camera_calibration; or a folder that holds left.yaml and
-            right.yaml; or one of the two files, if the name of the other one has "right" in place of "left"; or a bag,
-            of which the first camera infos are read.
+        paths: calibration files, or a folder that holds them, as of :func:`read_rig_files`; or a bag, of which the
+            first camera infos are read.
         left, right: image topics of a bag; None finds them.
+        size: of the images, px, for files that do not state it.
 
     Raises:
         BagError, TopicError: no readable bag, or no stereo pair with camera infos in it.
         CalibrationError: files that are missing or not those of a rig.
     """
-    cameras = _camera_files(paths)
-    return StereoRig.from_yaml(*cameras) if cameras else _of_bag(paths[0], left, right)
+    return _of_bag(paths[0], left, right) if _is_bag(paths) else read_rig_files(paths, size)
 
 
 def is_bag_path(paths: Sequence[Path]) -> bool:
@@ -52,43 +52,13 @@ def rig_files(paths: Sequence[Path]) -> list[Path]:
     Raises:
         CalibrationError: files that are not there.
     """
-    return list(_camera_files(paths) or bag_files(paths[0]))
+    return bag_files(paths[0]) if _is_bag(paths) else rig_file_paths(paths)
 
 
-def _camera_files(paths: Sequence[Path]) -> tuple[Path, Path] | None:
-    """Left and right file; None where the path is that of a bag."""
-    if len(paths) == 2:
-        return paths[0], paths[1]
-    if len(paths) != 1:
-        raise CalibrationError(f"{len(paths)} paths, not 1 or 2", value=len(paths), limit=(1, 2), remedy=_REMEDY)
-    path = paths[0]
-    if not path.exists():
-        raise CalibrationError("does not exist", subject=str(path), remedy=_REMEDY)
-    if path.is_dir() and any((path / f"left{suffix}").exists() for suffix in _YAML):
-        return _of_folder(path)
-    if path.suffix in _YAML:
-        return _with_partner(path)
-    return None
-
-
-def _of_folder(folder: Path) -> tuple[Path, Path]:
-    left = next(folder / f"left{suffix}" for suffix in _YAML if (folder / f"left{suffix}").exists())
-    return _with_partner(left)
-
-
-def _with_partner(path: Path) -> tuple[Path, Path]:
-    """Left and right file, from one of them."""
-    side, other = ("left", "right") if "left" in path.name else ("right", "left")
-    before, _, after = path.name.rpartition(side)
-    partner = path.with_name(f"{before}{other}{after}") if side in path.name else path
-    if partner == path or not partner.exists():
-        reason = (
-            f"there is no {partner.name} in its folder" if partner != path else "its name has neither left nor right"
-        )
-        raise CalibrationError(
-            f"is one camera, and {reason}", subject=str(path), remedy="give LEFT.yaml and RIGHT.yaml"
-        )
-    return (path, partner) if side == "left" else (partner, path)
+def _is_bag(paths: Sequence[Path]) -> bool:
+    if len(paths) != 1 or not paths[0].exists():
+        return False
+    return is_bag(paths[0]) or (paths[0].is_dir() and not is_rig_folder(paths[0]))
 
 
 def _of_bag(path: Path, left: str | None, right: str | None) -> StereoRig:
