@@ -9,6 +9,7 @@ from pathlib import Path
 
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.bags.stereo_topics import bag_topics
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError, CalibrationError
@@ -93,7 +94,7 @@ def _with_partner(path: Path) -> tuple[Path, Path]:
 
 def _of_bag(path: Path, left: str | None, right: str | None) -> StereoRig:
     with BagReader(path) as reader:
-        topics = reader.stereo_topics(left, right)
+        topics = bag_topics(reader, left, right)
         left_camera = _camera(reader, topics.left_image, topics.left_info, topics.rectified)
         right_camera = _camera(reader, topics.right_image, topics.right_info, topics.rectified)
     return StereoRig(left_camera, right_camera, (topics.left_info or "", topics.right_info or ""))
