@@ -17,7 +17,7 @@ import typer
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.cli.errors import command_options, error_text
-from stereo_depth_ros.cli.evaluate_tables import evaluate_tables
+from stereo_depth_ros.cli.evaluate_tables import bias_warnings, evaluate_tables
 from stereo_depth_ros.cli.given import given_parameters, refuse_files
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, SideBySide, new_app
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progress_bar, show, tell, warn
@@ -74,6 +74,8 @@ def evaluate(
     The disparity range of a scene is the smallest multiple of 16 (at least 32) above its largest true disparity, the
     same for every matcher, unless it is set by --param disparity_range:=...
 
+    A median signed error that is large against the spread of the errors is named: the disparities are shifted.
+
     "bad x" is the percentage of the matched pixels with truth whose error is above x px; "all" counts pixels without a
     disparity as wrong. In the JSON and CSV files density is a fraction from 0 to 1.
 
@@ -101,6 +103,8 @@ def evaluate(
     if csv_file is not None:
         write_file(csv_file, _csv(rows), overwrite=overwrite)
     show(evaluate_tables(rows, "disparity_range" in values, plots), rows, json_file, overwrite=overwrite)
+    for text in bias_warnings(rows):
+        warn(text)
     for error in skipped:
         warn(error_text(error, command_options(context.command)))
     if skipped:
