@@ -147,8 +147,9 @@ def test_a_path_that_is_not_a_bag_is_an_error(tmp_path: Path) -> None:
 
 @pytest.mark.real_data
 def test_a_real_bag_without_a_stereo_pair(stereo_data: Path) -> None:
-    info = inspect_bag(stereo_data / "bags" / "mvtb_test_ros2")
+    path = stereo_data / "bags" / "mvtb_test_ros2"
+    info = inspect_bag(path)
     assert info.topics["/imu/data"].count == 3
     assert tuple(map(str, info.problems)) == (
-        "no stereo pair among the image topics /camera/compressed, /camera/raw: name both image topics",
+        f"{path}: no stereo pair among the image topics /camera/compressed, /camera/raw: name both image topics",
     )

@@ -177,13 +177,13 @@ def test_live_images_have_the_bytes_of_the_offline_engine(name: str, tmp_path: P
 
 def test_doctor_names_the_depth_and_does_not_see_black_images(tmp_path: Path) -> None:
     write_12_bit(tmp_path / "in.mcap", gains=((15, 15),) * 2)
-    found = {finding.check: finding for finding in diagnose(survey_bag(tmp_path / "in.mcap")).findings}
+    found = {finding.check: finding for finding in diagnose(survey_bag(BagSelection(tmp_path / "in.mcap"))).findings}
     assert found["left image"].level is found["right image"].level is Level.OK
     assert (found["bit depth"].level, found["bit depth"].value) == (Level.OK, "12 bit in 16-bit samples")
 
 
 def test_doctor_warns_of_16_bit_images_with_8_bits(tmp_path: Path) -> None:
     write_12_bit(tmp_path / "in.mcap", gains=((1, 1),) * 2)
-    found = {finding.check: finding for finding in diagnose(survey_bag(tmp_path / "in.mcap")).findings}
+    found = {finding.check: finding for finding in diagnose(survey_bag(BagSelection(tmp_path / "in.mcap"))).findings}
     assert found["bit depth"].level is Level.WARNING
     assert "remove the lens cap" in found["bit depth"].remedy and "mono8" in found["bit depth"].remedy

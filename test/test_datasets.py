@@ -97,6 +97,23 @@ def test_middlebury_truth_is_scaled_by_year_and_size(
     assert np.isnan(found).sum() == 1
 
 
+def test_of_all_images_of_a_middlebury_scene_the_pair_with_truth_is_read(tmp_path: Path) -> None:
+    """As published in 2001 and 2003: im0 to im8, of which im2 and im6 have disparities; of map im0 and im1."""
+    for number in range(9):
+        image(tmp_path / "venus" / f"im{number}.ppm", (434, 8), number)
+    for number, level in ((2, 90), (6, 30)):
+        image(tmp_path / "venus" / f"disp{number}.pgm", (434, 8), level)
+    dataset = MiddleburyDataset(tmp_path / "venus", focal_px=300.0, baseline_m=0.1)
+    (frame,) = dataset
+    assert (frame.left.pixels[0, 0, 0], frame.right.pixels[0, 0, 0]) == (2, 6)
+    assert truth_of(dataset)[5, 7] == 11.25
+    for name, level in (("im0", 1), ("im1", 2), ("disp0", 80), ("disp1", 40)):
+        image(tmp_path / "map" / f"{name}.pgm", (284, 8), level)
+    dataset = MiddleburyDataset(tmp_path / "map", focal_px=300.0, baseline_m=0.1)
+    (frame,) = dataset
+    assert (frame.left.pixels[0, 0], frame.right.pixels[0, 0], truth_of(dataset)[5, 7]) == (1, 2, 10.0)
+
+
 def test_middlebury_2005_has_published_calibration(tmp_path: Path) -> None:
     for name in ("view1.png", "view5.png", "disp1.png"):
         image(tmp_path / name, (463, 8))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from doctor_setups import Change, all_of, as_is, both, entries, faults, put, scaled, times, with_infos
 
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
@@ -28,7 +29,7 @@ SAMPLE = Path(__file__).resolve().parents[1] / "bags" / "synthetic_room.mcap"
 @pytest.fixture(scope="module")
 def room() -> StereoSetup:
     """The sample bag, one pair of it."""
-    found = survey_bag(SAMPLE)
+    found = survey_bag(BagSelection(SAMPLE))
     return replace(found, pairs=found.pairs[:1])
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from evaluation_scenes import pair, write, write_kitti, write_scene
 from rosbags.rosbag2 import StoragePlugin
 from stereo_bags import compressed_folder, write_truth_bag
 
+from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.rig import Rig
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.evaluation import bag_scenes, evaluator
@@ -198,6 +200,40 @@ def test_usage(run: Run, tmp_path: Path) -> None:
     code, out, _ = run("--help")
     assert code == 0 and "stereo-depth evaluate Motorcycle-perfect --matcher sgbm" in out
     assert "smallest multiple of 16" in " ".join(out.split())
+
+
+def test_a_constant_bias_is_named(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def shifted(name: str, config: MatchingConfig) -> Matcher:
+        method = create_matcher(name, config)
+        match = method.match
+        if name == "bm":
+            monkeypatch.setattr(method, "match", lambda *images: plus(match(*images), 1.8))
+        return method
+
+    def plus(result: MatchResult, bias_px: float) -> MatchResult:
+        return replace(result, disparity_px=result.disparity_px + np.float32(bias_px))
+
+    monkeypatch.setattr(evaluator, "create_matcher", shifted)
+    write_scene(tmp_path / "data" / "one")
+    write_scene(tmp_path / "data" / "two", seed=2)
+    options = ("--matcher", "bm", "--matcher", "sgbm", *SMALL, "--json", tmp_path / "r.json")
+    code, out, err = run(tmp_path / "data", *options)
+    assert code == 0 and "median of disparity minus truth" in out
+    (warning,) = err.splitlines()
+    assert "bm: disparities are 1.80 px too large everywhere on 2 of 2 scenes" in warning and "sgbm" not in warning
+    for row in rows_of(tmp_path / "r.json"):
+        expected = 1.8 if row["matcher"] == "bm" else 0.0
+        assert row["signed_median"] == pytest.approx(expected, abs=0.07)
+        assert row["constant_bias"] == (row["signed_median"] if expected else None)
+
+
+@pytest.mark.real_data
+def test_no_method_is_biased_on_real_scenes(run: Run, stereo_data: Path, tmp_path: Path) -> None:
+    places = (stereo_data / name for name in ("middlebury2001", "middlebury2005/Reindeer"))  # the largest of all
+    code, _, err = run(*places, "--matcher", "bm", "--matcher", "sgm", "--json", tmp_path / "r.json")
+    assert (code, err) == (0, "")
+    rows = rows_of(tmp_path / "r.json")
+    assert len(rows) == 6 and all(abs(row["signed_median"]) < 0.25 for row in rows)
 
 
 @pytest.mark.real_data

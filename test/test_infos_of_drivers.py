@@ -84,7 +84,7 @@ def test_infos_with_only_p_are_of_rectified_images_for_every_command(tmp_path: P
         np.testing.assert_array_equal(rig.left.K, RIG.left.P[:, :3])
         np.testing.assert_array_equal(rig.left.R, np.identity(3))
         assert rig.baseline_m == pytest.approx(BASELINE_M)
-    checks = errors_of(diagnose(survey_bag(path)))
+    checks = errors_of(diagnose(survey_bag(BagSelection(path))))
     assert not [check for check in checks if check.split()[-1] in ("K", "R", "P", "distortion", "size")]
 
 
@@ -94,7 +94,7 @@ def test_only_p_counts_where_the_images_are_rectified(tmp_path: Path) -> None:
 
     path = write_bag(tmp_path / "bag.mcap", unknown_lens, "image_rect")
     assert inspect_bag(path).usable and read_rig([path]).baseline_m == pytest.approx(BASELINE_M)
-    checks = errors_of(diagnose(survey_bag(path)))
+    checks = errors_of(diagnose(survey_bag(BagSelection(path))))
     assert not [check for check in checks if check.split()[-1] in ("K", "R", "P", "distortion", "size")]
     assert StereoRig.from_infos(*map(unknown_lens, INFOS), rectified=True).baseline_m == pytest.approx(BASELINE_M)
     with pytest.raises(CalibrationError):
@@ -113,7 +113,7 @@ def test_an_uncalibrated_camera_is_named_with_its_topic_by_every_command(
         read_rig([path])
     with BagPairs(BagSelection(path), PairingConfig()) as pairs, pytest.raises(CalibrationError, match=says):
         next(iter(pairs.pairs())).rig(TYPES)
-    diagnosis = diagnose(survey_bag(path))
+    diagnosis = diagnose(survey_bag(BagSelection(path)))
     assert {"left calibration", "right calibration"} <= set(errors_of(diagnosis))
     found = {finding.check: finding for finding in diagnosis.findings}
     assert says.search(f"{found['left calibration'].value}: {found['left calibration'].remedy}")

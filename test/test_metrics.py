@@ -85,3 +85,43 @@ def test_shapes_must_agree() -> None:
         disparity_errors(FOUND, TRUTH, np.ones((2, 3), bool))
     with pytest.raises(ImageError, match="one shape"):
         depth_errors(FOUND[:1], TRUTH)
+
+
+def test_signed_error_and_its_spread_by_hand() -> None:
+    errors = disparity_errors(FOUND, TRUTH)  # 0, 0.5, -0.75, 1.5, -4
+    assert errors.signed_median_px == 0
+    assert errors.spread_px == pytest.approx(1.4826 * 0.75)
+    nothing = disparity_errors(np.full_like(FOUND, NAN), TRUTH)
+    assert math.isnan(nothing.signed_median_px) and math.isnan(nothing.spread_px)
+    assert nothing.constant_bias_px is None
+
+
+@pytest.mark.parametrize("bias_px", [1.8, -0.8])
+@pytest.mark.parametrize("wrong", [0.0, 0.3])
+def test_disparities_that_are_all_shifted_are_biased(bias_px: float, wrong: float) -> None:
+    """A network whose input was padded on one side; a third of its pixels may be wrong besides."""
+    rng = np.random.default_rng(5)
+    truth = np.linspace(3, 60, 20_000, dtype=np.float32).reshape(100, 200)
+    found = (truth + bias_px + rng.normal(0, 0.25, truth.shape)).astype(np.float32)
+    outliers = rng.random(truth.shape) < wrong
+    found[outliers] = rng.uniform(0, 64, outliers.sum())
+    found[:10] = NAN
+    errors = disparity_errors(found, truth)
+    assert errors.constant_bias_px == errors.signed_median_px == pytest.approx(bias_px, abs=0.1)
+
+
+def test_what_is_not_shifted_is_not_biased() -> None:
+    rng = np.random.default_rng(6)
+    truth = np.linspace(3, 60, 20_000, dtype=np.float32).reshape(100, 200)
+    noisy = truth + rng.normal(0, 3, truth.shape).astype(np.float32)
+    half_wrong = np.where(np.arange(200) < 90, truth + 5, truth + np.float32(0.1))  # 45 % of the image, all too near
+    scaled = truth * np.float32(1.1)  # up to 6 px too near, 3 px in the middle of the range
+    coarse = np.float32(10.5) + 0 * truth  # a plane between two whole disparities
+    for found, known in (
+        (noisy, truth),
+        (half_wrong, truth),
+        (scaled, truth),
+        (np.ceil(coarse), coarse),
+        (np.round(truth), truth),
+    ):
+        assert disparity_errors(found.astype(np.float32), known).constant_bias_px is None

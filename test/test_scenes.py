@@ -12,6 +12,7 @@ import pytest
 from evaluation_scenes import FAR_PX, HEIGHT, NEAR_PX, WIDTH, pair, write, write_kitti, write_scene
 from stereo_bags import write_odd_bag, write_truth_bag
 
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.core.errors import BagError, ImageError, TopicError
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
 from stereo_depth_ros.evaluation.plausibility import check_plausible
@@ -69,7 +70,7 @@ def test_kitti_training_pairs(tmp_path: Path) -> None:
 def test_truth_of_a_bag_is_that_of_the_rectified_verged_pair(tmp_path: Path) -> None:
     path = tmp_path / "room.mcap"
     made = write_truth_bag(path, 2)
-    scenes = BagScenes(path)
+    scenes = BagScenes(BagSelection(path))
     sources = list(scenes)
     assert len(scenes) == 2 and [source.name for source in sources] == ["room/0000", "room/0001"]
     scene = sources[1].load()
@@ -84,9 +85,9 @@ def test_truth_of_a_bag_is_that_of_the_rectified_verged_pair(tmp_path: Path) -> 
 def test_bags_without_truth_or_pairs_are_refused(tmp_path: Path) -> None:
     write_odd_bag(tmp_path / "odd.mcap", 1)
     with pytest.raises(TopicError, match=r"odd\.mcap: has no /truth/disparity, it has .*/cam0/image.*synthesize"):
-        BagScenes(tmp_path / "odd.mcap")
+        BagScenes(BagSelection(tmp_path / "odd.mcap"))
     with pytest.raises(BagError, match="does not exist"):
-        BagScenes(tmp_path / "none.mcap")
+        BagScenes(BagSelection(tmp_path / "none.mcap"))
 
 
 def test_sizes_must_agree() -> None:

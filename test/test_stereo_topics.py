@@ -128,3 +128,90 @@ def test_video_is_named_with_its_remedy(kind: str) -> None:
         find_stereo_topics(video, *video)
     images = {"/left/image_raw": "sensor_msgs/msg/Image", "/right/image_raw": "sensor_msgs/msg/Image"}
     assert find_stereo_topics(video | images).left_image == "/left/image_raw"
+
+
+@pytest.mark.parametrize(
+    ("names", "image", "info"),
+    [  # of both cameras, with * for left and right
+        (["/zed/*/image_raw_color", "/zed/*/image_rect_color", "/zed/*/camera_info", "/zed/*/camera_info_raw"],
+         "/zed/*/image_raw_color", "/zed/*/camera_info_raw"),
+        (["/zed/*/image_rect_color", "/zed/*/camera_info", "/zed/*/camera_info_raw"],
+         "/zed/*/image_rect_color", "/zed/*/camera_info"),
+        (["/zed/*_raw/image_raw_gray", "/zed/*_raw/camera_info", "/zed/*/image_rect_gray", "/zed/*/camera_info"],
+         "/zed/*_raw/image_raw_gray", "/zed/*_raw/camera_info"),
+        (["/zed/*/color/raw/image", "/zed/*/color/raw/camera_info", "/zed/*/color/rect/image",
+          "/zed/*/color/rect/camera_info", "/zed/*/gray/rect/image", "/zed/*/gray/rect/image/camera_info"],
+         "/zed/*/color/raw/image", "/zed/*/color/raw/camera_info"),
+        (["/oak/*/image_raw", "/oak/*/image_rect", "/oak/*/camera_info"], "/oak/*/image_raw", "/oak/*/camera_info"),
+        (["/*/image_raw", "/*/camera_info", "/*/image_rect", "/*/camera_info_rect"],
+         "/*/image_raw", "/*/camera_info"),
+        (["/*/image_rect", "/*/camera_info", "/*/camera_info_rect"], "/*/image_rect", "/*/camera_info_rect"),
+        (["/*/image_rect", "/*/camera_info_raw"], "/*/image_rect", "/*/camera_info_raw"),  # of it only P counts
+        (["/*/image_raw", "/*/camera_info_rect"], "/*/image_raw", None),
+        (["/stereo/*/image_raw", "/stereo/*/image_mono", "/stereo/*/image_color", "/stereo/*/image_rect",
+          "/stereo/*/image_rect_color", "/stereo/*/camera_info"], "/stereo/*/image_raw", "/stereo/*/camera_info"),
+        (["/stereo/*/image_mono", "/stereo/*/image_color", "/stereo/*/camera_info"],
+         "/stereo/*/image_mono", "/stereo/*/camera_info"),
+        (["/rgb_*", "/depth_*", "/camera_info_*"], "/rgb_*", "/camera_info_*"),  # Isaac Sim
+        (["/front/*/rgb", "/front/*/depth", "/front/*/camera_info"], "/front/*/rgb", "/front/*/camera_info"),
+        (["/carla/ego/rgb_*/image", "/carla/ego/depth_*/image", "/carla/ego/semantic_segmentation_*/image",
+          "/carla/ego/rgb_*/camera_info", "/carla/ego/depth_*/camera_info"],
+         "/carla/ego/rgb_*/image", "/carla/ego/rgb_*/camera_info"),
+        (["/*_camera", "/*_camera/camera_info"], "/*_camera", "/*_camera/camera_info"),  # Gazebo
+        (["/cam/*", "/info_raw/*", "/info/*"], "/cam/*", "/info/*"),
+        (["/cam/*_raw", "/info_raw/*", "/info/*"], "/cam/*_raw", "/info_raw/*"),
+        (["/depth_camera/*/image_raw", "/depth_camera/*/camera_info"],
+         "/depth_camera/*/image_raw", "/depth_camera/*/camera_info"),
+    ],
+)  # fmt: skip
+def test_kinds_of_images_have_camera_infos_of_their_kind(names: list[str], image: str, info: str | None) -> None:
+    found = find_stereo_topics(topics(*(name.replace("*", side) for name in names for side in ("left", "right"))))
+    assert (found.left_image, found.right_image) == (image.replace("*", "left"), image.replace("*", "right"))
+    expected = (None, None) if info is None else (info.replace("*", "left"), info.replace("*", "right"))
+    assert (found.left_info, found.right_info) == expected
+
+
+def test_of_the_transports_of_an_image_the_readable_ones_are_found() -> None:
+    base = ["/camera/infra1/image_rect_raw", "/camera/infra2/image_rect_raw"]
+    infos = topics("/camera/infra1/camera_info", "/camera/infra2/camera_info")
+    theora = "theora_image_transport/msg/Packet"
+    subtopics = {f"{name}/{last}": COMPRESSED for name in base for last in ("compressedDepth", "zstd", "compressed")}
+    subtopics |= {f"{name}/theora": theora for name in base}
+    found = find_stereo_topics(topics(*base) | infos | subtopics)
+    assert (found.left_image, found.left_info, found.rectified) == (base[0], "/camera/infra1/camera_info", True)
+    found = find_stereo_topics(infos | subtopics)
+    assert (found.left_image, found.left_info) == (f"{base[0]}/compressed", "/camera/infra1/camera_info")
+    for last, why in (("zstd", "are compressed by zstd"), ("theora", r"are video \(theora_image_transport")):
+        only = {name: kind for name, kind in subtopics.items() if name.endswith(last)}
+        with pytest.raises(TopicError, match=rf"infra1/image_rect_raw/{last}, .* {why}.*: decode it by ros2 run"):
+            find_stereo_topics(infos | only)
+
+
+def test_left_and_right_are_preferred_over_numbers() -> None:
+    of_rig = topics("/left_1/image", "/left_2/image", "/right_1/image", "/right_2/image", "/cam0/image", "/cam1/image")
+    with pytest.raises(TopicError, match=r"2 stereo pairs .* \(/left_1/image with /right_1/image; /left_2"):
+        find_stereo_topics(of_rig)
+    assert find_stereo_topics(of_rig, left="/left_2/image").right_image == "/right_2/image"
+    assert find_stereo_topics(of_rig, left="/cam0/image").right_image == "/cam1/image"
+
+
+def test_the_camera_info_of_another_camera_is_not_taken() -> None:
+    found = find_stereo_topics(topics("/left/image", "/right/image", "/left/camera_info", "/camera_info"))
+    assert (found.left_info, found.right_info) == (None, None)
+
+
+def test_both_images_side_by_side_in_one_topic() -> None:
+    infos = ["/stereo/left/camera_info", "/stereo/right/camera_info"]
+    found = find_stereo_topics(topics("/stereo/image_raw", "/stereo/image_raw/compressed", *infos), side_by_side=True)
+    assert found == StereoTopics(*["/stereo/image_raw"] * 2, *infos, False, False, side_by_side=True)
+    zed = topics("/zed/stereo/image_rect_color", "/zed/left/image_rect_color", "/zed/right/image_rect_color")
+    zed |= topics(*(f"/zed/{side}/camera_info{raw}" for side in ("left", "right") for raw in ("", "_raw")))
+    found = find_stereo_topics(zed, side_by_side=True)
+    assert (found.left_image, found.left_info) == ("/zed/stereo/image_rect_color", "/zed/left/camera_info")
+    with pytest.raises(TopicError, match=r"no topic holds both .*/left, /right are of one camera each: read them"):
+        find_stereo_topics(topics("/left", "/right"), side_by_side=True)
+    with pytest.raises(TopicError, match=r"2 topics are equally good \(/a; /b\): name the topic"):
+        find_stereo_topics(topics("/a", "/b"), side_by_side=True)
+    assert find_stereo_topics(topics("/a", "/b"), left="/b", side_by_side=True).right_image == "/b"
+    with pytest.raises(TopicError, match="left /a and right /b are two topics, side by side is one"):
+        find_stereo_topics(topics("/a", "/b"), "/a", "/b", side_by_side=True)

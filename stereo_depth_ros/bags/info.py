@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
-from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
+from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
+from stereo_depth_ros.bags.topics import StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import CalibrationError, MessageError, StereoDepthError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
@@ -78,12 +79,20 @@ class BagInfo:
         return not self.problems
 
 
-def inspect_bag(path: Path, *, left: str | None = None, right: str | None = None, tolerance_s: float = 0.01) -> BagInfo:
+def inspect_bag(
+    path: Path,
+    *,
+    left: str | None = None,
+    right: str | None = None,
+    side_by_side: bool = False,
+    tolerance_s: float = 0.01,
+) -> BagInfo:
     """Examines a whole bag; only the first image of each camera is decoded.
 
     Args:
         path: the bag.
         left, right: image topics; None finds them.
+        side_by_side: both images are in one topic, left or right.
         tolerance_s: largest difference of stamps in a near pair, seconds.
 
     Raises:
@@ -91,9 +100,8 @@ def inspect_bag(path: Path, *, left: str | None = None, right: str | None = None
     """
     with BagReader(path) as reader:
         inspection = _Inspection(reader)
-        stereo = inspection.find_topics(left, right)
-        sides = (stereo.left_image, stereo.right_image) if stereo else (None, None)
-        left_image, right_image = (inspection.first_image(topic) for topic in sides)
+        stereo = inspection.find_topics(left, right, side_by_side)
+        left_image, right_image = inspection.first_images(stereo)
         rig = inspection.read_rig(stereo, left_image, right_image)
         exact_pairs, near_pairs = inspection.count_pairs(stereo, tolerance_s)
         duration_s = (reader.end_ns - reader.start_ns) * 1e-9
@@ -121,24 +129,30 @@ class _Inspection:
         self._reader = reader
         self.problems: list[StereoDepthError] = []
 
-    def find_topics(self, left: str | None, right: str | None) -> StereoTopics | None:
+    def find_topics(self, left: str | None, right: str | None, side_by_side: bool) -> StereoTopics | None:
         try:
-            return find_stereo_topics(self._reader.msgtypes, left, right)
+            return bag_topics(self._reader, left, right, side_by_side=side_by_side)
         except TopicError as error:
             self.problems.append(error)
             return None
 
-    def first_image(self, topic: str | None) -> ImageInfo | None:
-        message = self._first(topic)
-        if message is None:
-            return None
-        try:
-            frame = decode(message, topic or "")
-        except MessageError as error:
-            self.problems.append(error)
-            return None
-        height, width = frame.pixels.shape[:2]
-        return ImageInfo(width, height, getattr(message, "encoding", "") or message.format)
+    def first_images(self, stereo: StereoTopics | None) -> tuple[ImageInfo | None, ImageInfo | None]:
+        """The first image of each camera."""
+        found: list[ImageInfo | None] = [None, None]
+        if stereo is None:
+            return None, None
+        images = CameraImages(self._reader, stereo)
+        for topic in images.names:
+            message = self._first_message(topic)
+            if message is None:
+                continue
+            try:
+                for side, data in images.of(message):
+                    image = self._reader.deserialize(replace(message, msgtype=stereo.image_type, data=data))
+                    found[side] = _image_info(image, topic)
+            except MessageError as error:
+                self.problems.append(error)
+        return found[0], found[1]
 
     def read_rig(
         self, stereo: StereoTopics | None, left_image: ImageInfo | None, right_image: ImageInfo | None
@@ -182,25 +196,33 @@ class _Inspection:
 
     def _arrivals(self, stereo: StereoTopics) -> list[Arrival]:
         """Side and header stamp of every image, in the order of the bag."""
-        stamped = StampedMessages()
-        messages = stamped.read(self._reader.messages([stereo.left_image, stereo.right_image]))
-        arrivals = [(int(message.topic != stereo.left_image), stamp_ns) for stamp_ns, message in messages]
+        images, stamped = CameraImages(self._reader, stereo), StampedMessages()
+        messages = stamped.read(self._reader.messages(images.names))
+        arrivals = [(side, stamp_ns) for stamp_ns, message in messages for side in images.sides(message.topic)]
         if stamped.error:
             self.problems.append(stamped.error)
         return arrivals
 
-    def _first(self, topic: str | None) -> Any:
-        if topic is None:
-            return None
+    def _first_message(self, topic: str) -> BagMessage | None:
         message = next(self._reader.messages([topic]), None)
         if message is None:
             self.problems.append(TopicError(f"{topic} has no messages", value=0, remedy="record it again"))
+        return message
+
+    def _first(self, topic: str) -> Any:
+        message = self._first_message(topic)
+        if message is None:
             return None
         try:
             return self._reader.deserialize(message)
         except MessageError as error:
             self.problems.append(error)
             return None
+
+
+def _image_info(message: Any, topic: str) -> ImageInfo:
+    height, width = decode(message, topic).pixels.shape[:2]
+    return ImageInfo(width, height, getattr(message, "encoding", "") or message.format)
 
 
 def _count_pairs(arrivals: Iterable[Arrival], config: PairingConfig) -> int:

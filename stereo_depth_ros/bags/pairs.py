@@ -15,12 +15,13 @@ from typing import Any, Generic, TypeVar
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
+from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
 from stereo_depth_ros.bags.topics import INFO_TYPE, StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.calibration_history import CalibrationHistory
 from stereo_depth_ros.core.camera_info import camera_from_info
-from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
+from stereo_depth_ros.core.errors import BagError, ConfigError, MessageError, TopicError
 from stereo_depth_ros.core.pairing import PairingCounts, StereoPairing
 from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.types import StereoPair
@@ -44,6 +45,7 @@ class BagSelection:
         left, right: image topics; None finds them.
         start_seconds: where to begin, seconds after the first message of the bag.
         duration_seconds: how much to read, seconds; 0 reads to the end.
+        side_by_side: both images are in one topic, ``left`` or ``right``, the left one in the left half.
     """
 
     path: Path
@@ -51,6 +53,7 @@ class BagSelection:
     right: str | None = None
     start_seconds: float = 0.0
     duration_seconds: float = 0.0
+    side_by_side: bool = False
 
     def __post_init__(self) -> None:
         for name in ("start_seconds", "duration_seconds"):
@@ -177,7 +180,7 @@ class BagPairs:
     The camera infos of a pair are those that apply to its stamps, see :class:`CalibrationHistory`, or the first ones of
     the bag, with the stamps of its images: camera infos that a driver published only once serve the whole bag. Where
     the topic names state that the images are rectified, the camera infos become those of rectified images, so that
-    nothing is rectified twice.
+    nothing is rectified twice. Images side by side are split here: the pairs have two raw images.
 
     Args:
         selection: bag, topics and part of it.
@@ -208,6 +211,8 @@ class BagPairs:
         except (ConfigError, TopicError):
             self._reader.close()
             raise
+        self._images = CameraImages(self._reader, self.topics)
+        self._unsplit: list[MessageError] = []
         self.count = math.ceil(share * self._reader.topics[self.topics.left_image].count)
         self.unpaired_left = self.unpaired_right = 0
         self.losses: tuple[str, ...] = ()
@@ -221,17 +226,17 @@ class BagPairs:
         """
         pairing: StereoPairing[bytes] = StereoPairing(self._pairing_config)
         arrivals: deque[Arrival] = deque(maxlen=_ARRIVALS)
+        self._unsplit = []
         calibrated = _CalibratedPairs(self._first_infos(), self._info_topics, self._pairing_config.queue_size)
         stamped = StampedMessages()
         for stamp_ns, message in stamped.read(self._messages()):
             if message.topic in self._info_topics:
                 yield from calibrated.add_info(message.topic, self._info_of_images(message))
                 continue
-            is_left = message.topic == self.topics.left_image
-            add = pairing.add_left if is_left else pairing.add_right
-            arrivals.append((0 if is_left else 1, stamp_ns))
-            for left, right in add(stamp_ns, message.data):
-                yield from calibrated.add_pair(left, right)
+            for side, image in self._images_of(message):
+                arrivals.append((side, stamp_ns))
+                for left, right in (pairing.add_left, pairing.add_right)[side](stamp_ns, image):
+                    yield from calibrated.add_pair(left, right)
         for left, right in pairing.flush():
             yield from calibrated.add_pair(left, right)
         yield from calibrated.flush()
@@ -250,8 +255,17 @@ class BagPairs:
     ) -> None:
         self.close()
 
+    def _images_of(self, message: BagMessage) -> Iterator[tuple[int, bytes]]:
+        """Side and bytes of the images in a message; none of one that cannot be split, see :attr:`losses`."""
+        try:
+            yield from self._images.of(message)
+        except MessageError as error:
+            self._unsplit.append(error)
+
     def _losses(self, counts: PairingCounts, arrivals: Sequence[Arrival]) -> Iterator[str]:
         names = (self.topics.left_image, self.topics.right_image)
+        if self._unsplit:
+            yield f"{len(self._unsplit)} images left out, {self._unsplit[0]}"
         if error := unset_stamps(arrivals, names):
             yield str(error)
             return
@@ -280,7 +294,8 @@ class BagPairs:
         return share, f"from {start_s:g} to {end_s:.3f} s of {length_s:.3f} s"
 
     def _find_topics(self) -> tuple[StereoTopics, tuple[str, str]]:
-        topics = self._reader.stereo_topics(self._selection.left, self._selection.right)
+        chosen = self._selection
+        topics = bag_topics(self._reader, chosen.left, chosen.right, side_by_side=chosen.side_by_side)
         if topics.left_info is None or topics.right_info is None:
             missing = topics.left_image if topics.left_info is None else topics.right_image
             raise TopicError(
@@ -316,7 +331,7 @@ class BagPairs:
     def _messages(self) -> Iterator[BagMessage]:
         start_ns = self._reader.start_ns + round(1e9 * self._selection.start_seconds)
         duration_ns = round(1e9 * self._selection.duration_seconds)
-        wanted = [self.topics.left_image, self.topics.right_image, *self._info_topics]
+        wanted = [*self._images.names, *self._info_topics]
         return self._reader.messages(wanted, start_ns, start_ns + duration_ns if duration_ns else None)
 
 

@@ -15,8 +15,7 @@ from typing import Any
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.recovery import RecoveredMcap
 from stereo_depth_ros.bags.sources import open_sources
-from stereo_depth_ros.bags.topics import StereoTopics, find_stereo_topics
-from stereo_depth_ros.core.errors import BagError, MessageError, TopicError
+from stereo_depth_ros.core.errors import BagError, MessageError
 
 __all__ = ["BagMessage", "BagReader", "TopicInfo"]
 
@@ -82,20 +81,6 @@ class BagReader:
     def msgtypes(self) -> dict[str, str]:
         """Message type per topic."""
         return {name: info.msgtype for name, info in self.topics.items()}
-
-    def stereo_topics(self, left: str | None = None, right: str | None = None) -> StereoTopics:
-        """The stereo pair among the topics, by :func:`find_stereo_topics`.
-
-        Args:
-            left, right: image topics; None finds them.
-
-        Raises:
-            TopicError: no pair, several equally good ones, or names that are not those of two images.
-        """
-        try:
-            return find_stereo_topics(self.msgtypes, left, right)
-        except TopicError as error:
-            raise error.about(self.path) from error
 
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None

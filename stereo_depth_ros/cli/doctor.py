@@ -11,10 +11,11 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.cli.errors import param_options
 from stereo_depth_ros.cli.given import is_given, refuse_ignored
-from stereo_depth_ros.cli.options import Json, Left, Overwrite, Right, new_app
+from stereo_depth_ros.cli.options import Json, Left, Overwrite, Right, SideBySide, new_app
 from stereo_depth_ros.cli.output import progress_bar, show
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.core.errors import ConfigError
@@ -51,6 +52,7 @@ def doctor(
     ] = False,
     left: Left = None,
     right: Right = None,
+    side_by_side: SideBySide = False,
     left_namespace: Annotated[
         str, typer.Option(metavar="NAME", help="Look for the left camera in this namespace, with --live.")
     ] = "left",
@@ -86,7 +88,7 @@ def doctor(
     check_outputs((), bag_files(bag) if bag is not None else (), reports=[json_file], overwrite=overwrite)
     if bag is not None:
         with progress_bar("reading") as progress:
-            setup = survey_bag(bag, left, right, progress)
+            setup = survey_bag(BagSelection(bag, left, right, side_by_side=side_by_side), progress)
     else:
         setup = _listen(left, right, left_namespace, right_namespace, seconds)
     with progress_bar("matching features") as progress:
@@ -99,7 +101,9 @@ def doctor(
 
 
 def _check_options(context: typer.Context, live: bool) -> None:
-    if not live:
+    if live:
+        refuse_ignored(context, ["side_by_side"], "with --live", "record a bag, or split the images in the driver")
+    else:
         refuse_ignored(context, ("seconds", "left_namespace", "right_namespace"), "with a bag", "leave it out")
     for side in ("left", "right"):
         if is_given(context, side):
@@ -124,7 +128,7 @@ def _tables(diagnosis: Diagnosis) -> Iterator[TextTable]:
     facts = facts_table()
     setup = diagnosis.setup
     facts.add_row("verdict", diagnosis.verdict)
-    facts.add_row("images", f"{setup.left.image_topic}, {setup.right.image_topic}")
+    facts.add_row("images", ", ".join(dict.fromkeys((setup.left.image_topic, setup.right.image_topic))))
     facts.add_row("examined", f"{len(setup.pairs)} pairs of {setup.source}")
     if diagnosis.search:
         facts.add_row("search", param_options(diagnosis.search))

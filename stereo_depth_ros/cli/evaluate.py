@@ -14,16 +14,18 @@ from typing import Annotated, Any
 
 import typer
 
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.cli.errors import command_options, error_text
-from stereo_depth_ros.cli.evaluate_tables import evaluate_tables
+from stereo_depth_ros.cli.evaluate_tables import bias_warnings, evaluate_tables
 from stereo_depth_ros.cli.given import given_parameters, refuse_files
-from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
+from stereo_depth_ros.cli.options import Json, Overwrite, Params, SideBySide, new_app
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progress_bar, show, tell, warn
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.errors import BagError, ConfigError, StereoDepthError
+from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
 from stereo_depth_ros.evaluation.evaluator import Evaluation
 from stereo_depth_ros.evaluation.evaluator import evaluate as evaluate_matcher
@@ -55,6 +57,7 @@ def evaluate(
         ),
     ],
     param: Params = None,
+    side_by_side: SideBySide = False,
     json_file: Json = None,
     csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the results as CSV.")] = None,
     plots: Annotated[
@@ -70,6 +73,8 @@ def evaluate(
 
     The disparity range of a scene is the smallest multiple of 16 (at least 32) above its largest true disparity, the
     same for every matcher, unless it is set by --param disparity_range:=...
+
+    A median signed error that is large against the spread of the errors is named: the disparities are shifted.
 
     "bad x" is the percentage of the matched pixels with truth whose error is above x px; "all" counts pixels without a
     disparity as wrong. In the JSON and CSV files density is a fraction from 0 to 1.
@@ -87,7 +92,7 @@ def evaluate(
     config = pipeline_config(values).matching
     for name in matcher:
         create_matcher(name, config)  # reports unknown matchers and invalid parameters before anything runs
-    sets = [_scenes(place) for place in places]
+    sets = [_scenes(place, side_by_side) for place in places]
     inputs = [*(path for scenes in sets for path in _files(scenes)), *parameter_files(None, values)]
     plot_files = list(_plot_files(plots, sets, matcher)) if plots is not None else []
     check_outputs(plot_files, inputs, reports=[json_file, csv_file], overwrite=overwrite)
@@ -98,6 +103,8 @@ def evaluate(
     if csv_file is not None:
         write_file(csv_file, _csv(rows), overwrite=overwrite)
     show(evaluate_tables(rows, "disparity_range" in values, plots), rows, json_file, overwrite=overwrite)
+    for text in bias_warnings(rows):
+        warn(text)
     for error in skipped:
         warn(error_text(error, command_options(context.command)))
     if skipped:
@@ -113,10 +120,19 @@ def _check_options(matchers: list[str], plots: Path | None, csv_file: Path | Non
         raise ConfigError("--csv - names no file", value="-", remedy="name one, or write JSON by --json -")
 
 
-def _scenes(place: Path) -> SceneSet:
+def _scenes(place: Path, side_by_side: bool) -> SceneSet:
     if not place.exists():
         raise BagError("does not exist", subject=str(place), remedy="name a folder of a dataset, or a bag")
-    return BagScenes(place) if place.is_file() or is_bag(place) else find_scenes(place)
+    if not place.is_file() and not is_bag(place):
+        if side_by_side:
+            raise ConfigError(
+                "--side-by-side has no effect with a folder", subject=str(place), remedy="leave it out, or name a bag"
+            )
+        return find_scenes(place)
+    selection, choice = choose_topics(BagSelection(place, side_by_side=side_by_side))
+    if choice:
+        warn(choice)
+    return BagScenes(selection)
 
 
 def _files(scenes: SceneSet) -> list[Path]:

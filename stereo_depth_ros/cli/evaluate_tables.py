@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 
-__all__ = ["evaluate_tables"]
+__all__ = ["bias_warnings", "evaluate_tables"]
 
 Columns: TypeAlias = Mapping[str, tuple[str, float]]  # column title to name and factor of a figure
 
@@ -22,8 +22,9 @@ _BAD_PIXELS: Columns = {
     "bad 2 all": ("bad_2_all", 1),
     "nonocc bad 2 all": ("nonocc_bad_2_all", 1),
 }
-_SCENE_COLUMNS: Columns = {**_BAD_PIXELS, "avg px": ("avg", 1), "ms": ("ms", 1)}
-_ERRORS: Columns = {**_BAD_PIXELS, "D1 all": ("d1_all", 1), "avg px": ("avg", 1)}
+_SIGNED: Columns = {"avg px": ("avg", 1), "signed px": ("signed_median", 1)}
+_SCENE_COLUMNS: Columns = {**_BAD_PIXELS, **_SIGNED, "ms": ("ms", 1)}
+_ERRORS: Columns = {**_BAD_PIXELS, "D1 all": ("d1_all", 1), **_SIGNED}
 _COSTS: Columns = {
     "ms": ("ms", 1),
     "ms per Mpx": ("ms_per_megapixel", 1),
@@ -42,6 +43,7 @@ def evaluate_tables(
     facts = facts_table()
     facts.add_row("bad x", "percentage of the matched pixels with truth whose error is above x px")
     facts.add_row("all", "pixels without a disparity count as wrong")
+    facts.add_row("signed px", "median of disparity minus truth")
     facts.add_row("nonocc", "pixels visible to both cameras only")
     ranges = [row["disparity_range"] for row in rows]
     rule = "as set" if range_given else "the smallest multiple of 16 above the scene's largest true disparity"
@@ -54,6 +56,23 @@ def evaluate_tables(
     if plots is not None:
         facts.add_row("plots", str(plots))
     yield facts
+
+
+def bias_warnings(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """A sentence for each method whose disparities are too large or too small everywhere by a constant."""
+    for matcher in dict.fromkeys(row["matcher"] for row in rows):
+        of_matcher = [row for row in rows if row["matcher"] == matcher]
+        for sign, size in ((1, "large"), (-1, "small")):
+            found = [row for row in of_matcher if sign * (row["constant_bias"] or 0) > 0]
+            if found:
+                amounts = sorted(abs(row["constant_bias"]) for row in found)
+                by = " to ".join(dict.fromkeys(f"{amount:.2f}" for amount in (amounts[0], amounts[-1])))
+                yield (
+                    f"{matcher}: disparities are {by} px too {size} everywhere on {len(found)} of {len(of_matcher)} "
+                    "scenes (median signed error, more than twice their spread): look for a shift in its input or "
+                    "output, such as padding or cropping of a network's export; where all methods have it, for one in "
+                    "the truth"
+                )
 
 
 def _scenes_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:

@@ -7,11 +7,13 @@ from __future__ import annotations
 import typer
 
 from stereo_depth_ros.bags.info import inspect_bag
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.cli.errors import error_text
 from stereo_depth_ros.cli.info_tables import info_tables, info_values
-from stereo_depth_ros.cli.options import Bag, Json, Left, Overwrite, Right, new_app
+from stereo_depth_ros.cli.options import Bag, Json, Left, Overwrite, Right, SideBySide, new_app
 from stereo_depth_ros.cli.output import EXIT_ERROR, show, tell, warn
+from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
 from stereo_depth_ros.files.output import check_outputs
 
 __all__ = ["app"]
@@ -21,7 +23,12 @@ app = new_app()
 
 @app.command()
 def info(
-    bag: Bag, left: Left = None, right: Right = None, json_file: Json = None, overwrite: Overwrite = False
+    bag: Bag,
+    left: Left = None,
+    right: Right = None,
+    side_by_side: SideBySide = False,
+    json_file: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """List the contents of a bag and state whether it is usable for stereo depth, and if not, why.
 
@@ -33,9 +40,10 @@ def info(
       stereo-depth info drive.mcap --json - | jq .problems
     """
     check_outputs((), bag_files(bag), reports=[json_file], overwrite=overwrite)
-    found = inspect_bag(bag, left=left, right=right)
+    chosen, choice = choose_topics(BagSelection(bag, left, right, side_by_side=side_by_side))
+    found = inspect_bag(bag, left=chosen.left, right=chosen.right, side_by_side=side_by_side)
     show(info_tables(found), info_values(found), json_file, overwrite=overwrite)
-    for text in found.warnings:
+    for text in (choice, *found.warnings) if choice else found.warnings:
         warn(text)
     for problem in found.problems:
         tell(f"problem: {error_text(problem)}")

@@ -23,6 +23,7 @@ __all__ = [
     "ParamsFile",
     "Right",
     "Separate",
+    "SideBySide",
     "Start",
     "Strict",
     "new_app",
@@ -37,6 +38,10 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing o
 _TOPIC = "Read the {} images from this topic; it is detected by default."
 Left = Annotated[str | None, typer.Option("--left", metavar="TOPIC", help=_TOPIC.format("left"))]
 Right = Annotated[str | None, typer.Option("--right", metavar="TOPIC", help=_TOPIC.format("right"))]
+SideBySide = Annotated[
+    bool,
+    typer.Option("--side-by-side", help="Read both images from one topic, the left one from its left half."),
+]
 Start = Annotated[float, typer.Option(min=0, metavar="SECONDS", help="Skip this time at the beginning of the bag.")]
 Duration = Annotated[
     float, typer.Option(min=0, metavar="SECONDS", help="Read the bag for this time only; 0 reads to the end.")

@@ -19,6 +19,7 @@ from stereo_depth_ros.cli.options import (
     Params,
     ParamsFile,
     Right,
+    SideBySide,
     Start,
     Strict,
     new_app,
@@ -45,6 +46,7 @@ def process(
     duration: Duration = 0.0,
     left: Left = None,
     right: Right = None,
+    side_by_side: SideBySide = False,
     strict: Strict = False,
     json_file: Json = None,
     overwrite: Overwrite = False,
@@ -65,7 +67,7 @@ def process(
     )
     config = pipeline_config(values)
     prepare_kernels(config.matching)
-    selection = BagSelection(bag, left, right, start, duration)
+    selection = BagSelection(bag, left, right, start, duration, side_by_side)
     with progress_bar("computing") as progress:
         result = process_bag(selection, output, config, progress, overwrite=overwrite, strict=strict)
     finish_run(result, json_file, overwrite)

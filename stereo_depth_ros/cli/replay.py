@@ -26,6 +26,7 @@ from stereo_depth_ros.cli.options import (
     ParamsFile,
     Right,
     Separate,
+    SideBySide,
     Start,
     Strict,
     new_app,
@@ -62,6 +63,7 @@ def replay(
     duration: Duration = 0.0,
     left: Left = None,
     right: Right = None,
+    side_by_side: SideBySide = False,
     in_flight: Annotated[
         int, typer.Option(min=1, max=100, metavar="N", help="Process up to this number of pairs at a time.")
     ] = 1,
@@ -99,6 +101,7 @@ def replay(
         duration_seconds=duration,
         left_topic=left or "",
         right_topic=right or "",
+        side_by_side=side_by_side,
         in_flight=in_flight,
         strict=strict,
     )

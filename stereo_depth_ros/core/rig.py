@@ -244,6 +244,16 @@ class StereoRig:
         Raises:
             CalibrationError: the sizes differ.
         """
+        if (width, height) == (2 * self.width, self.height):
+            raise CalibrationError(
+                f"the image is {width}x{height}, its camera info is for {self.width}x{self.height}: it looks like both "
+                "images side by side",
+                subject=topic,
+                value=(width, height),
+                limit=(self.width, self.height),
+                remedy="read both from it, or split it in the driver",
+                settings=("side_by_side",),
+            )
         if (width, height) != (self.width, self.height):
             raise CalibrationError(
                 f"the image is {width}x{height}, its camera info is for {self.width}x{self.height}",

@@ -21,12 +21,13 @@ __all__ = ["MiddleburyScene", "view_scale"]
 _LAYOUTS = (
     ("im0.*", "im1.*", "disp0.pfm"),
     ("im0.*", "im1.*", "disp0GT.pfm"),
-    ("im0.*", "im1.*", None),
+    ("im0.*", "im1.*", "disp0.pgm"),
     ("view1.*", "view5.*", "disp1.*"),
     ("im2.*", "im6.*", "disp2.*"),
     ("scene1.row3.col3.*", "scene1.row3.col4.*", "truedisp.row3.col3.*"),
     ("scene1.row3.col3.*", "scene1.row3.col5.*", "truedisp.row3.col3.*"),
     ("*_left.png", "*_right.png", "*_disp.npz"),
+    ("im0.*", "im1.*", None),  # last: those of 2001 and 2003 have im0 to im8, and truth for im2 and im6
 )
 # of 2014 and ETH3D; of the second evaluation; of 2003. All are white where both cameras see the point.
 _VISIBLE_MASKS = ("mask0nocc.png", "nonocc.png", "occl.png")

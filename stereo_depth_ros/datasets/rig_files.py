@@ -9,6 +9,7 @@ from pathlib import Path
 
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files, is_bag
+from stereo_depth_ros.bags.stereo_topics import bag_topics
 from stereo_depth_ros.camera_files.reading import is_rig_folder, read_rig_files, rig_file_paths
 from stereo_depth_ros.camera_files.stored import Size
 from stereo_depth_ros.core.camera import CameraModel
@@ -16,7 +17,7 @@ from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.rig import StereoRig
 
-__all__ = ["read_rig", "rig_files"]
+__all__ = ["is_bag_path", "read_rig", "rig_files"]
 
 
 def read_rig(
@@ -34,16 +35,7 @@ def read_rig(
         BagError, TopicError: no readable bag, or no stereo pair with camera infos in it.
         CalibrationError: files that are missing or not those of a rig.
     """
-    return _of_bag(paths[0], left, right) if _is_bag(paths) else read_rig_files(paths, size)
-
-
-def is_bag_path(paths: Sequence[Path]) -> bool:
-    """Whether :func:`read_rig` takes the paths for a bag.
-
-    Raises:
-        CalibrationError: files that are not there.
-    """
-    return _camera_files(paths) is None
+    return _of_bag(paths[0], left, right) if is_bag_path(paths) else read_rig_files(paths, size)
 
 
 def rig_files(paths: Sequence[Path]) -> list[Path]:
@@ -52,10 +44,11 @@ def rig_files(paths: Sequence[Path]) -> list[Path]:
     Raises:
         CalibrationError: files that are not there.
     """
-    return bag_files(paths[0]) if _is_bag(paths) else rig_file_paths(paths)
+    return bag_files(paths[0]) if is_bag_path(paths) else rig_file_paths(paths)
 
 
-def _is_bag(paths: Sequence[Path]) -> bool:
+def is_bag_path(paths: Sequence[Path]) -> bool:
+    """Whether :func:`read_rig` takes the paths for a bag."""
     if len(paths) != 1 or not paths[0].exists():
         return False
     return is_bag(paths[0]) or (paths[0].is_dir() and not is_rig_folder(paths[0]))
@@ -63,7 +56,7 @@ def _is_bag(paths: Sequence[Path]) -> bool:
 
 def _of_bag(path: Path, left: str | None, right: str | None) -> StereoRig:
     with BagReader(path) as reader:
-        topics = reader.stereo_topics(left, right)
+        topics = bag_topics(reader, left, right)
         left_camera = _camera(reader, topics.left_image, topics.left_info, topics.rectified)
         right_camera = _camera(reader, topics.right_image, topics.right_info, topics.rectified)
     return StereoRig(left_camera, right_camera, (topics.left_info or "", topics.right_info or ""))

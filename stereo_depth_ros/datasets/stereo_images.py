@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from stereo_depth_ros.bags.reader import BagMessage, BagReader
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files, is_bag
 from stereo_depth_ros.bags.stamped import StampedMessages
+from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_candidates
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import BagError, TopicError
@@ -124,6 +126,7 @@ class BagImages:
     Args:
         path: the bag.
         left, right: image topics; None finds them.
+        side_by_side: both images are in one topic, left or right.
 
     Raises:
         BagError, TopicError: no bag, or no stereo pair in it.
@@ -131,12 +134,16 @@ class BagImages:
 
     dense = True
 
-    def __init__(self, path: Path, left: str | None = None, right: str | None = None) -> None:
+    def __init__(
+        self, path: Path, left: str | None = None, right: str | None = None, *, side_by_side: bool = False
+    ) -> None:
         self._path = path
+        self._types = RosbagsTypes()
         self.files = bag_files(path)
         with BagReader(path) as reader:
             self.warnings = [reader.warning] if reader.warning else []
-            self._topics = reader.stereo_topics(left, right)
+            found = bag_candidates(reader, left, right, side_by_side=side_by_side)
+            self._topics = next((topics for topics in found if not topics.rectified), found[0])
             self._count = reader.topics[self._topics.left_image].count
         if self._topics.rectified:
             raise TopicError(
@@ -152,23 +159,23 @@ class BagImages:
 
     def __iter__(self) -> Iterator[ImagePair]:
         config = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=_TOLERANCE_S)
-        pairing: StereoPairing[BagMessage] = StereoPairing(config)
+        pairing: StereoPairing[bytes] = StereoPairing(config)
         depth = BitDepth()
         with BagReader(self._path) as reader:
-            stamped = StampedMessages()
-            for stamp_ns, message in stamped.read(reader.messages((self._topics.left_image, self._topics.right_image))):
-                add = pairing.add_left if message.topic == self._topics.left_image else pairing.add_right
-                for pair in add(stamp_ns, message):
-                    yield _decoded(reader, *pair, depth)
+            images, stamped = CameraImages(reader, self._topics), StampedMessages()
+            for stamp_ns, message in stamped.read(reader.messages(images.names)):
+                for side, data in images.of(message):
+                    for pair in (pairing.add_left, pairing.add_right)[side](stamp_ns, data):
+                        yield self._decoded(*pair, depth)
             for pair in pairing.flush():
-                yield _decoded(reader, *pair, depth)
+                yield self._decoded(*pair, depth)
         lost = pairing.counts.dropped_left + pairing.counts.dropped_right
         if stamped.error:
             self.warnings.append(f"{self._path}: {stamped.error}")
         if lost:
             self.warnings.append(f"{self._path}: {lost} images have no partner within {1e3 * _TOLERANCE_S:g} ms")
 
-
-def _decoded(reader: BagReader, left: BagMessage, right: BagMessage, depth: BitDepth) -> ImagePair:
-    pair = decode_pair(reader.deserialize(left), reader.deserialize(right), (left.topic, right.topic), depth)
-    return ImagePair(f"{cdr_stamp_ns(left.data) / 1e9:.3f} s", to_gray(pair.left), to_gray(pair.right))
+    def _decoded(self, left: bytes, right: bytes, depth: BitDepth) -> ImagePair:
+        one, other = (self._types.deserialize(data, self._topics.image_type) for data in (left, right))
+        pair = decode_pair(one, other, (self._topics.left_image, self._topics.right_image), depth)
+        return ImagePair(f"{cdr_stamp_ns(left) / 1e9:.3f} s", to_gray(pair.left), to_gray(pair.right))

@@ -5,17 +5,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
+from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
 from stereo_depth_ros.bags.topics import StereoTopics
+from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.diagnosis.finding import Finding, Level
+from stereo_depth_ros.diagnosis.stereo_choice import CHOICE_REMEDY, choose_topics
 from stereo_depth_ros.diagnosis.survey import NEAR, PAIRS_EXAMINED, StereoSetup, Survey
 
 __all__ = ["survey_bag"]
@@ -23,49 +26,56 @@ __all__ = ["survey_bag"]
 _Times: TypeAlias = tuple[int, int]  # stamp and log time of an image, ns
 
 
-def survey_bag(
-    path: Path,
-    left: str | None = None,
-    right: str | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> StereoSetup:
+def survey_bag(selection: BagSelection, progress: Callable[[int, int], None] = lambda done, total: None) -> StereoSetup:
     """Reads the stamps of all images and the camera infos, decodes a few pairs.
 
     Args:
-        path: the bag.
-        left, right: image topics where they are known.
+        selection: the bag and its topics; it is read to the end.
         progress: called with messages read and messages to read.
 
     Raises:
         BagError: not a readable bag.
         TopicError: no stereo pair in it.
     """
-    with BagReader(path) as reader:
-        topics = reader.stereo_topics(left, right)
-        survey = Survey(str(path), topics, RosbagsTypes().deserialize)
+    chosen, note = choose_topics(selection)
+    with BagReader(chosen.path) as reader:
+        topics = bag_topics(reader, chosen.left, chosen.right, side_by_side=chosen.side_by_side)
+        cameras = CameraImages(reader, topics)
+        survey = Survey(str(chosen.path), topics, RosbagsTypes().deserialize)
+        if note:
+            survey.findings.append(Finding("topics", Level.WARNING, note, "the preferred ones fit", CHOICE_REMEDY))
         if reader.warning:
             warning = Finding("bag", Level.WARNING, reader.warning, "whole", "record again, or repair it")
             survey.findings.append(warning)
-        images = _read(reader, topics, survey, progress)
-        for times in _spread(_paired(images["left"], images["right"])):
-            names = (topics.left_image, topics.right_image)
-            survey.add_pair(*(_image_at(reader, *place) for place in zip(names, times, strict=True)))
+        images = _read(reader, topics, cameras, survey, progress)
+        names = (topics.left_image, topics.right_image)
+        for times in _spread(_paired(*images)):
+            try:
+                left, right = (_image_at(reader, cameras, side, names[side], times[side]) for side in (0, 1))
+            except MessageError as error:  # of images side by side that have no halves
+                survey.findings.append(Finding.refused(f"images of {names[0]}", error))
+                break
+            survey.add_pair(left, right)
         return survey.setup()
 
 
 def _read(
-    reader: BagReader, topics: StereoTopics, survey: Survey, progress: Callable[[int, int], None]
-) -> dict[str, list[_Times]]:
+    reader: BagReader,
+    topics: StereoTopics,
+    cameras: CameraImages,
+    survey: Survey,
+    progress: Callable[[int, int], None],
+) -> tuple[list[_Times], list[_Times]]:
     """Adds all stamps and camera infos; the times of the images by side."""
-    images: dict[str, list[_Times]] = {"left": [], "right": []}
-    image_sides = {topics.left_image: "left", topics.right_image: "right"}
+    images: tuple[list[_Times], list[_Times]] = [], []
     info_sides = {topics.left_info: "left", topics.right_info: "right"}
-    wanted = [topic for topic in (*image_sides, *info_sides) if topic is not None]
+    wanted = [topic for topic in (*cameras.names, *info_sides) if topic is not None]
     total = sum(reader.topics[topic].count for topic in wanted)
     for number, message in enumerate(reader.messages(wanted), start=1):
-        if side := image_sides.get(message.topic):
-            if (stamp_ns := survey.add_image(side, message.data)) is not None:
-                images[side].append((stamp_ns, message.log_time_ns))
+        if message.topic in cameras.names:
+            for side in cameras.sides(message.topic):
+                if (stamp_ns := survey.add_image(("left", "right")[side], message.data)) is not None:
+                    images[side].append((stamp_ns, message.log_time_ns))
         else:
             survey.add_info(info_sides[message.topic], message.data)
         progress(number, total)
@@ -87,8 +97,9 @@ def _spread(pairs: list[tuple[_Times, _Times]]) -> Iterator[tuple[_Times, _Times
         yield from (pairs[at] for at in np.unique(np.linspace(0, len(pairs) - 1, PAIRS_EXAMINED).astype(int)))
 
 
-def _image_at(reader: BagReader, topic: str, times: _Times) -> bytes:
-    """The bytes of the image with this stamp."""
+def _image_at(reader: BagReader, cameras: CameraImages, side: int, topic: str, times: _Times) -> bytes:
+    """The bytes of the image of a side with this stamp."""
     stamp_ns, log_time_ns = times
     messages = reader.messages([topic], log_time_ns, log_time_ns)
-    return next(message.data for stamp, message in StampedMessages().read(messages) if stamp == stamp_ns)
+    message = next(message for stamp, message in StampedMessages().read(messages) if stamp == stamp_ns)
+    return dict(cameras.of(message))[side]

@@ -54,13 +54,23 @@ class FirstPairs:
         self._faults: list[StereoDepthError] = []
         self._decided = False
 
-    def look(self, pair: StereoPair, left: U8, right: U8, match: MatchResult) -> StereoDepthError | None:
+    @property
+    def fits(self) -> bool | None:
+        """Whether calibration and images fit by the pairs so far; None where they show too little."""
+        return None if not (self._faults or self._good) else self._good >= len(self._faults)
+
+    @property
+    def decided(self) -> bool:
+        """No further pair will be examined."""
+        return self._decided
+
+    def look(self, pair: StereoPair, left: U8, right: U8, match: MatchResult | None = None) -> StereoDepthError | None:
         """Examine a pair if its turn has come.
 
         Args:
             pair: the images as received.
             left, right: uint8 (H, W), gray, rectified.
-            match: of these.
+            match: of these, for the text of the error; None where they are not matched.
 
         Returns:
             What is wrong, once, as soon as it is known; else None.
@@ -116,7 +126,7 @@ class FirstPairs:
         return None if shown.level is Level.OK else _refused(shown.value, " and ".join(rig.topics), shown)
 
     def _examine(
-        self, pair: StereoPair, left: U8, right: U8, match: MatchResult
+        self, pair: StereoPair, left: U8, right: U8, match: MatchResult | None
     ) -> tuple[StereoDepthError | None, bool]:
         """What is wrong with a pair, and whether it shows enough."""
         if np.array_equal(pair.left.pixels, pair.right.pixels):
@@ -172,10 +182,10 @@ def _one_camera() -> ImageError:
     )
 
 
-def _rows_differ(median_px: float, limit_px: float, match: MatchResult) -> CalibrationError:
+def _rows_differ(median_px: float, limit_px: float, match: MatchResult | None) -> CalibrationError:
+    valid = "" if match is None else f", {100 * match.valid_fraction:.0f} % of the pixels have a disparity"
     return CalibrationError(
-        f"rows of left and right differ by {median_px:.1f} px (limit {limit_px:.2g} px), "
-        f"{100 * match.valid_fraction:.0f} % of the pixels have a disparity",
+        f"rows of left and right differ by {median_px:.1f} px (limit {limit_px:.2g} px){valid}",
         value=median_px,
         limit=limit_px,
         remedy=REMEDY,

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -32,7 +31,7 @@ class BagScenes:
     Where the rectified left image has no source pixel in the raw one, the truth is unknown.
 
     Args:
-        path: the bag.
+        selection: the bag and its topics; it is read to the end.
 
     Attributes:
         names: every name that one of the scenes may have.
@@ -43,30 +42,30 @@ class BagScenes:
         TopicError: no true disparities in it, or no stereo pair.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, selection: BagSelection) -> None:
+        self._selection, self._path = selection, selection.path
         self._types = RosbagsTypes()
         self._rectifiers = PerCalibration(self._types, lambda rig: (rig, Rectifier(rig)))
         self._depth, self._rectified_depth = BitDepth(), BitDepth()
-        with BagReader(path) as reader:
+        with BagReader(self._path) as reader:
             if TRUTH_TOPIC not in reader.topics:
                 raise TopicError(
                     f"has no {TRUTH_TOPIC}, it has {', '.join(reader.topics)}",
-                    subject=str(path),
+                    subject=str(self._path),
                     value=list(reader.topics),
                     limit=TRUTH_TOPIC,
                     remedy="convert a dataset with true disparities, or synthesize a bag",
                 )
             self._truth_type, self._count = reader.topics[TRUTH_TOPIC].msgtype, reader.topics[TRUTH_TOPIC].count
-        with BagPairs(BagSelection(path), PairingConfig()) as pairs:  # refuses a bag without pairs before anything runs
+        with BagPairs(selection, PairingConfig()) as pairs:  # refuses a bag without pairs before anything runs
             self.names = [self._name(number) for number in range(pairs.count)]
-        self.files = bag_files(path)
+        self.files = bag_files(self._path)
 
     def __len__(self) -> int:
         return self._count
 
     def __iter__(self) -> Iterator[SceneSource]:
-        with BagReader(self._path) as reader, BagPairs(BagSelection(self._path), PairingConfig()) as pairs:
+        with BagReader(self._path) as reader, BagPairs(self._selection, PairingConfig()) as pairs:
             truths = StampedMessages().read(reader.messages([TRUTH_TOPIC]))
             known = next(truths, None)
             for number, pair in enumerate(pairs.pairs()):

@@ -92,7 +92,7 @@ class Evaluation:
         row |= {f"nonocc_{name}": value for name, value in _figures(self.nonocc).items()}
         for part, measured in (("bg", self.background), ("fg", self.foreground)):
             row |= {f"d1_{part}": getattr(measured, "d1", None), f"d1_{part}_all": getattr(measured, "d1_all", None)}
-        row |= _areas(self.confidence)
+        row |= {"constant_bias": self.errors.constant_bias_px} | _areas(self.confidence)
         height, width = self.result.disparity_px.shape
         row |= {"occlusion": self.occlusion, "width": width, "height": height}
         row |= {"min_disparity": self.config.min_disparity, "disparity_range": self.config.num_disparities}
@@ -197,7 +197,8 @@ def _confidence(result: MatchResult, truth_px: F32) -> Confidence | None:
 
 def _figures(errors: DisparityErrors) -> dict[str, float]:
     """The errors by their published names: A50 is the median."""
-    names = ((field.name, field.name.replace("median", "a50")) for field in dataclasses.fields(errors))
+    fields = (field.name for field in dataclasses.fields(errors))
+    names = ((field, "a50" if field == "median_px" else field) for field in fields)
     return {name.removesuffix("_px"): getattr(errors, field) for field, name in names}
 
 

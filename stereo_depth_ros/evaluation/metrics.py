@@ -12,10 +12,12 @@ import numpy.typing as npt
 
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F32, F64
+from stereo_depth_ros.geometry.robust import robust_sigma
 
 __all__ = ["DepthErrors", "DisparityErrors", "depth_errors", "disparity_errors"]
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
+BIAS_PX, BIAS_SPREADS = 0.5, 2.0  # a constant bias is above both, px and spreads of the errors
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,9 @@ class DisparityErrors:
         d1, d1_all: the same two of D1.
         avg_px, median_px, rms_px: absolute error of the matched pixels with truth.
         a90_px, a95_px, a99_px: absolute error that 90, 95, 99 percent of them do not exceed (A50 is the median).
+        signed_median_px: median of the signed error d - truth of the matched pixels with truth.
+        spread_px: how much the signed error scatters about it, 1.4826 times the median absolute deviation, which is the
+            standard deviation of a normal distribution and is not changed by outliers.
 
     A figure over no pixels is NaN.
     """
@@ -55,6 +60,22 @@ class DisparityErrors:
     a90_px: float
     a95_px: float
     a99_px: float
+    signed_median_px: float
+    spread_px: float
+
+    @property
+    def constant_bias_px(self) -> float | None:
+        """What the disparities are too large by everywhere, px, negative where too small; None where they are not.
+
+        They are biased where the median signed error is above 0.5 px and above twice the spread. Disparities that are
+        right up to rounding to whole pixels are within 0.5 px. A median of two standard deviations means that nearly
+        all errors have one sign, and that it is not one that grows with the disparity, as of a wrong scale: over
+        disparities from 0 on its median is 1.35 spreads. Wrong regions of less than half of the pixels, however large
+        their errors, move neither of the two numbers much. Of bm, sgm and sgbm on 12 real scenes (Middlebury 2001 to
+        2014, ETH3D) the median is 0.19 px at most, and 0.76 of the spread.
+        """
+        biased = abs(self.signed_median_px) > max(BIAS_PX, BIAS_SPREADS * self.spread_px)
+        return self.signed_median_px if biased else None
 
 
 @dataclass(frozen=True)
@@ -84,7 +105,8 @@ def disparity_errors(disparity_px: F32, truth_px: F32, mask: Mask | None = None)
         ImageError: shapes differ.
     """
     known, matched = _pixels(disparity_px, truth_px, mask)
-    error, truth = _absolute_error(disparity_px, truth_px, matched), truth_px[matched].astype(np.float64)
+    signed, truth = _signed_error(disparity_px, truth_px, matched), truth_px[matched].astype(np.float64)
+    error, signed_median_px = np.abs(signed), _quantile(signed, 0.5)
     count, holes = int(np.count_nonzero(known)), int(np.count_nonzero(known & ~matched))
     wrong = {"bad_0_5": error > 0.5, "bad_1": error > 1, "bad_2": error > 2, "bad_4": error > 4}
     wrong["d1"] = (error > 3) & (error > 0.05 * np.abs(truth))
@@ -99,6 +121,8 @@ def disparity_errors(disparity_px: F32, truth_px: F32, mask: Mask | None = None)
         a90_px=_quantile(error, 0.9),
         a95_px=_quantile(error, 0.95),
         a99_px=_quantile(error, 0.99),
+        signed_median_px=signed_median_px,
+        spread_px=robust_sigma(signed - signed_median_px) if signed.size else float("nan"),
     )
 
 
@@ -113,7 +137,7 @@ def depth_errors(depth_m: F32, truth_m: F32) -> DepthErrors:
         ImageError: shapes differ.
     """
     known, matched = _pixels(depth_m, truth_m, None)
-    error = _absolute_error(depth_m, truth_m, matched)
+    error = np.abs(_signed_error(depth_m, truth_m, matched))
     relative = error / truth_m[matched].astype(np.float64)
     return DepthErrors(
         _share(error.size, int(np.count_nonzero(known))), _quantile(error, 0.5), _quantile(relative, 0.5)
@@ -134,8 +158,8 @@ def _pixels(values: F32, truth: F32, mask: Mask | None) -> tuple[Mask, Mask]:
     return known, known & np.isfinite(values)
 
 
-def _absolute_error(values: F32, truth: F32, matched: Mask) -> F64:
-    error: F64 = np.abs(values[matched].astype(np.float64) - truth[matched])
+def _signed_error(values: F32, truth: F32, matched: Mask) -> F64:
+    error: F64 = values[matched].astype(np.float64) - truth[matched]
     return error
 
 

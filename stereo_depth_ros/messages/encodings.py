@@ -236,5 +236,5 @@ def _png_is_complete(content: bytes) -> bool:
         length, kind = struct.unpack_from(">I4s", content, at)
         at += length + _PNG_CHUNK
         if kind == b"IEND":
-            return at <= len(content)
+            return bool(at <= len(content))
     return False

@@ -41,6 +41,7 @@ __all__ = [
     "decode_pair",
     "image_message",
     "image_size",
+    "uncompressed_message",
 ]
 
 # Deflate writes at most 1032 bytes for one (Gailly and Adler, zlib); the shortest jpeg has a bit for 64 pixels.
@@ -204,19 +205,55 @@ def decode_compressed(msg: Any, *, topic: str = "") -> Frame:
 
 
 def _read_compressed(msg: Any, topic: str) -> _Stored:
+    stored = _decompressed(msg, topic)
+    return _Stored(msg.header, stored, ENCODINGS[_compressed_encoding(msg.format, stored.ndim)])
+
+
+def _decompressed(msg: Any, topic: str) -> NDArray[Any]:
+    """The samples as stored, uint8 or uint16, (H, W) or (H, W, 3) or with alpha (H, W, 4)."""
     content = bytes(msg.data)
     _checked_header(msg, content, topic)  # before memory for the declared size is allocated
     stored = imdecode(content)
     if stored is None:
         raise _damaged(msg, content, topic)
-    return _Stored(msg.header, stored, _compressed_encoding(msg.format, stored.ndim))
+    return stored
 
 
-def _compressed_encoding(format: str, ndim: int) -> StoredEncoding:
+def _compressed_encoding(format: str, ndim: int) -> str:
     if ndim == 3:
-        return ENCODINGS["rgb8" if "compressed rgb" in format else "bgr8"]
+        return "rgb8" if "compressed rgb" in format else "bgr8"
     source = format.partition(";")[0].strip()
-    return ENCODINGS[source if source.startswith("bayer_") and source in ENCODINGS else "mono8"]
+    return source if source.startswith("bayer_") and source in ENCODINGS else "mono8"
+
+
+def uncompressed_message(types: MessageTypes, msg: Any, topic: str = "") -> Any:
+    """The sensor_msgs/Image that decodes to the same frame as a sensor_msgs/CompressedImage.
+
+    Args:
+        types: the family of messages.
+        msg: the compressed image, of any family.
+        topic: its topic, for error messages.
+
+    Raises:
+        MessageError: as :func:`decode_compressed`.
+    """
+    stored = _decompressed(msg, topic)
+    encoding = _compressed_encoding(msg.format, stored.ndim)
+    if stored.shape[2:] == (4,):
+        encoding = encoding.replace("8", "a8")
+    if stored.dtype == np.uint16:
+        encoding = encoding.replace("8", "16")
+    data, view = types.payload(stored.nbytes)
+    view[:] = np.ascontiguousarray(stored, stored.dtype.newbyteorder("<")).view(np.uint8).ravel()
+    return types.Image(
+        header=msg.header,
+        height=stored.shape[0],
+        width=stored.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=stored.nbytes // stored.shape[0],
+        data=data,
+    )
 
 
 def _checked_header(msg: Any, content: bytes, topic: str) -> ImageHeader:

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
 from stereo_depth_ros.nodes.readiness import wait_until_ready
 from stereo_depth_ros.nodes.replay_node import check_recording, replay
 from stereo_depth_ros.nodes.transport import prepare_process
@@ -50,7 +52,9 @@ def replay_through_graph(
         GraphError: a node ended, or no output arrives.
     """
     check_recording(options)
-    with BagPairs(options.selection, config.pairing) as pairs:
+    chosen, choice = choose_topics(options.selection, config.pairing)
+    options = replace(options, left_topic=chosen.left or "", right_topic=chosen.right or "")
+    with BagPairs(chosen, config.pairing) as pairs:
         transport = "compressed" if pairs.topics.compressed else "raw"
     all_parameters = {**parameters, "image_transport": transport}
     if not options.realtime:
@@ -63,7 +67,8 @@ def replay_through_graph(
         GraphProcesses(shape, all_parameters, Path(logs), params_file, monitor) as graph,
     ):
         wait_until_ready(graph.numbers, graph.log_lengths, graph.check)
-        return replay(options, progress, graph.check, config)
+        report = replay(options, progress, graph.check, config)
+    return replace(report, warnings=(choice, *report.warnings)) if choice else report
 
 
 def _reliable_inputs() -> dict[str, str]:

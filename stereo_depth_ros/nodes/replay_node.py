@@ -25,6 +25,7 @@ from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
 from stereo_depth_ros.core.errors import BagError, CalibrationError, CameraOrderError, GraphError, StereoDepthError
 from stereo_depth_ros.core.interrupts import handled_signals
+from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.nodes.command_line import answer_help, start_ros
 from stereo_depth_ros.nodes.first_pairs_watch import FIRST_PAIRS, ORDER
@@ -112,7 +113,8 @@ def play(
 ) -> RunReport:
     """As :func:`replay`, with an existing node."""
     check_recording(options)
-    with BagPairs(options.selection, config.pairing) as pairs:
+    selection, choice = choose_topics(options.selection, config.pairing)
+    with BagPairs(selection, config.pairing) as pairs:
         with Recorder(options.output_path, overwrite=options.overwrite) as recorder:
             recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
             ports = GraphPorts(node, recorder, pairs.topics.compressed, options.clock)
@@ -135,7 +137,9 @@ def play(
             wall_s=player.wall_s,
             stages_ms=ports.stages_ms(),
             realtime=options.realtime,
-            warnings=tuple(text for text in (pairs.warning, *pairs.losses, ports.errors_reported(), intruders) if text),
+            warnings=tuple(
+                text for text in (choice, pairs.warning, *pairs.losses, ports.errors_reported(), intruders) if text
+            ),
         )
     if options.output_path is None:
         return result

@@ -20,6 +20,7 @@ from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import BagError, CameraOrderError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
+from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.messages.cdr import stamp_text
 from stereo_depth_ros.offline.provenance import provenance
@@ -62,6 +63,7 @@ def process_bag(
     refused: dict[str, str] = {}
     stages_ms: dict[str, list[float]] = defaultdict(list)
     engine = _Engine(config)
+    selection, choice = choose_topics(selection, config.pairing)
     with BagPairs(selection, config.pairing) as pairs:
         with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
             start, warm_up_s, sent, skipped = time.perf_counter(), 0.0, 0, 0
@@ -108,7 +110,7 @@ def process_bag(
             stages_ms={stage: (percentile(times, 50), percentile(times, 95)) for stage, times in stages_ms.items()},
             score=score_disparity(output, selection.path),
             warnings=(
-                *((pairs.warning,) if pairs.warning else ()),
+                *(text for text in (choice, pairs.warning) if text),
                 *pairs.losses,
                 *refused.values(),
                 *([str(engine.fault)] if engine.fault else []),

@@ -45,6 +45,7 @@ class ReplayOptions:
     duration_seconds: float = _option(0.0, "How much to play; 0 plays to the end.", low=0.0, high=1e9, unit="s")
     left_topic: str = _option("", "Left image topic in the bag; empty finds it.")
     right_topic: str = _option("", "Right image topic in the bag; empty finds it.")
+    side_by_side: bool = _option(False, "Both images are in one topic, the left one in the left half.")
     in_flight: int = _option(1, "Maximum number of pairs in the graph at one time.", low=1, high=100)
     strict: bool = _option(False, "End with an error where the first pairs do not fit the calibration.")
 
@@ -65,6 +66,7 @@ class ReplayOptions:
             self.right_topic or None,
             self.start_seconds,
             self.duration_seconds,
+            self.side_by_side,
         )
 
     @property

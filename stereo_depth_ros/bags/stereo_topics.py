@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The stereo topics of a bag: found by name, or named where one holds both images; and the halves of such images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagMessage, BagReader
+from stereo_depth_ros.bags.topics import StereoTopics, stereo_candidates
+from stereo_depth_ros.core.camera_info import camera_from_info
+from stereo_depth_ros.core.errors import StereoDepthError, TopicError
+from stereo_depth_ros.messages.image import image_size
+from stereo_depth_ros.messages.side_by_side import split_message
+
+__all__ = ["CameraImages", "bag_candidates", "bag_topics"]
+
+_WIDE = 2.4  # width over height of two images side by side; those of one camera have up to 2.39 (cinema), rarely more
+
+
+def bag_topics(
+    reader: BagReader, left: str | None = None, right: str | None = None, *, side_by_side: bool = False
+) -> StereoTopics:
+    """The best of :func:`bag_candidates`."""
+    return bag_candidates(reader, left, right, side_by_side=side_by_side)[0]
+
+
+def bag_candidates(
+    reader: BagReader, left: str | None = None, right: str | None = None, *, side_by_side: bool = False
+) -> list[StereoTopics]:
+    """The stereo pairs among the topics that have messages, by :func:`stereo_candidates`, the best first.
+
+    Args:
+        reader: the bag.
+        left, right: image topics; None finds them.
+        side_by_side: both images are in one topic, left or right names it.
+
+    Raises:
+        TopicError: no pair, several equally good ones, or names that are not those of two images. Where a topic looks
+            like both images side by side, it is named with the remedy.
+    """
+    filled = {name: info.msgtype for name, info in reader.topics.items() if info.count or name in (left, right)}
+    try:
+        try:
+            return stereo_candidates(filled, left, right, side_by_side=side_by_side)
+        except TopicError:
+            if len(filled) == len(reader.topics):
+                raise
+            return stereo_candidates(reader.msgtypes, left, right, side_by_side=side_by_side)
+    except TopicError as error:
+        hint = None if side_by_side else _side_by_side(reader, left or right)
+        raise (hint or error).about(reader.path) from error
+
+
+def _side_by_side(reader: BagReader, named: str | None) -> TopicError | None:
+    """The topic whose images look like two side by side, if there is one: twice as wide as its camera infos."""
+    try:
+        found = stereo_candidates(reader.msgtypes, named, named, side_by_side=True)
+    except TopicError:
+        return None
+    for topics in found:
+        if looks := _looks_like_two(reader, topics):
+            return TopicError(
+                f"{topics.left_image} looks like both images side by side, {looks}",
+                value=topics.left_image,
+                remedy="read both from it",
+                settings=("side_by_side",),
+            )
+    return None
+
+
+def _looks_like_two(reader: BagReader, topics: StereoTopics) -> str:
+    """Why an image looks like two; empty where it does not, or where it cannot be read."""
+    try:
+        image = _first(reader, topics.left_image)
+        if image is None:
+            return ""
+        width, height = image_size(image, topics.left_image)
+        info = _first(reader, topics.left_info)
+        camera = None if info is None else camera_from_info(info)
+    except StereoDepthError:
+        return ""
+    if camera is not None and camera.calibrated:
+        if (width, height) != (2 * camera.width, camera.height):
+            return ""
+        return f"{width}x{height} where the camera infos are for {camera.width}x{camera.height}"
+    return f"{width}x{height}" if width >= _WIDE * height else ""
+
+
+def _first(reader: BagReader, topic: str | None) -> Any:
+    message = None if topic is None else next(reader.messages([topic]), None)
+    return None if message is None else reader.deserialize(message)
+
+
+def _frame(reader: BagReader, topic: str | None) -> str:
+    """The frame of the first camera info; empty where it cannot be read."""
+    try:
+        info = _first(reader, topic)
+    except StereoDepthError:
+        return ""
+    return "" if info is None else str(info.header.frame_id)
+
+
+class CameraImages:
+    """The images of both cameras in the messages of a bag: one each, or both halves of images side by side.
+
+    Args:
+        reader: the bag.
+        topics: of both cameras.
+
+    Attributes:
+        names: of the image topics; the same for both sides where they are side by side.
+    """
+
+    def __init__(self, reader: BagReader, topics: StereoTopics) -> None:
+        self._reader = reader
+        self._types = RosbagsTypes()
+        self._topics = topics
+        self.names = list(dict.fromkeys((topics.left_image, topics.right_image)))
+        self._frames = ("", "")
+        if topics.side_by_side:
+            self._frames = _frame(reader, topics.left_info), _frame(reader, topics.right_info)
+
+    def sides(self, topic: str) -> tuple[int, ...]:
+        """Sides whose images are in the messages of one of the topics, 0 left and 1 right."""
+        return (0, 1) if self._topics.side_by_side else (int(topic != self._topics.left_image),)
+
+    def of(self, message: BagMessage) -> Iterator[tuple[int, bytes]]:
+        """Side, 0 left and 1 right, and CDR bytes of each image in a message, of :attr:`StereoTopics.image_type`.
+
+        Raises:
+            MessageError: an image that cannot be split; only of those side by side.
+        """
+        if not self._topics.side_by_side:
+            yield self.sides(message.topic)[0], message.data
+            return
+        whole = self._reader.deserialize(message)
+        frames = self._frames[0] or whole.header.frame_id, self._frames[1]
+        for side, half in enumerate(split_message(self._types, whole, message.topic, frames)):
+            yield side, self._types.serialize(half)
