@@ -106,3 +106,23 @@ def test_wrong_input(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
         assert code == expected, arguments
         assert text in " ".join(err.split()), arguments
     assert not (tmp_path / "out").exists()
+
+
+def test_one_file_with_both_images(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    both, outputs = tmp_path / "both.png", ("left.png", "right.png", "rows.png")
+    cv2.imwrite(str(both), np.concatenate([cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in pair], axis=1))
+    rig = ("--rig", tmp_path / "rig", "-o")
+    assert run(both, "--side-by-side", *rig, tmp_path / "one")[0] == run(*pair, *rig, tmp_path / "two")[0] == 0
+    for name in outputs:
+        one, two = (cv2.imread(str(tmp_path / place / name)) for place in ("one", "two"))
+        np.testing.assert_array_equal(one, two)
+    code, _, err = run(*pair, "--side-by-side", *rig, tmp_path / "out")
+    assert code == 2 and f"{pair[1]} has no effect with --side-by-side, both images are in {pair[0]}" in err
+    code, _, err = run(both, *rig, tmp_path / "out")
+    assert code == 2 and "the image of the right camera is missing: " in err and "--side-by-side" in err
+    code, _, err = run(both, both, *rig, tmp_path / "out")
+    assert code == 1 and "the image is 960x360, its camera info is for 480x360: it looks like both images" in err
+    assert err.endswith("(--side-by-side)\n")
+    cv2.imwrite(str(both), np.zeros((6, 9), np.uint8))
+    code, _, err = run(both, "--side-by-side", *rig, tmp_path / "out")
+    assert code == 1 and "both.png: is 9x6, an odd width has no two halves" in err

@@ -419,6 +419,23 @@ def make_images(folder: Path, names: dict[str, int]) -> Path:
     return folder
 
 
+def test_images_side_by_side(tmp_path: Path) -> None:
+    rig = StereoRig.from_rectified(50.5, 51.5, 20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        write_camera(tmp_path / f"{side}.yaml", camera, side)
+    for number in (2, 11):
+        both = np.full((HEIGHT, 2 * WIDTH), number, np.uint8)
+        both[:, WIDTH:] += 100
+        assert cv2.imwrite(str(tmp_path / f"{number}.png"), both)
+    dataset = ImagesDataset(tmp_path, side_by_side=True)
+    assert levels(dataset) == [(2, 102), (11, 111)]
+    (frame, _) = dataset
+    assert frame.left.pixels.shape == frame.right.pixels.shape == (HEIGHT, WIDTH)
+    image(tmp_path / "2.png")
+    with pytest.raises(CalibrationError, match=r"2\.png: the image is \d+x\d+, its camera info is for"):
+        ImagesDataset(tmp_path, side_by_side=True)
+
+
 def levels(dataset: StereoDataset) -> list[tuple[int, int]]:
     """Gray levels of the pairs."""
     return [(int(frame.left.pixels[0, 0]), int(frame.right.pixels[0, 0])) for frame in dataset]

@@ -16,6 +16,7 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.core.errors import BagError, TopicError
 from stereo_depth_ros.datasets.stereo_images import ImagePair, open_stereo_images
+from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
 
 
@@ -91,6 +92,27 @@ def test_errors_name_the_patterns_as_a_remedy(tmp_path: Path) -> None:
         open_stereo_images(write(tmp_path / "same", ["a1.png", "a2.png"]), "a*.png", "a*.png")
 
 
+def test_files_with_both_images(tmp_path: Path) -> None:
+    for number in (10, 9):
+        halves = [np.full((4, 6), gray, np.uint8) for gray in (number, 100 + number)]
+        (tmp_path / "views").mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / "views" / f"{number}.png"), np.concatenate(halves, axis=1))
+    (tmp_path / "notes.txt").write_text("none")
+    expected = [("9.png", 9, 109), ("10.png", 10, 110)]
+    images = open_stereo_images(tmp_path, side_by_side=True)
+    assert (values(list(images)), len(images), images.files) == (expected, 2, [tmp_path / "views" / "9.png"] * 2
+                                                                 + [tmp_path / "views" / "10.png"] * 2)  # fmt: skip
+    assert values(list(open_stereo_images(tmp_path, "views/9*", side_by_side=True))) == expected[:1]
+    with pytest.raises(BagError, match=r"10\.png looks like both images side by side, 12x4: read both from") as caught:
+        open_stereo_images(tmp_path)
+    assert caught.value.settings == ("side_by_side",)
+    with pytest.raises(BagError, match="has no images"):
+        open_stereo_images(tmp_path, "none*", side_by_side=True)
+    cv2.imwrite(str(tmp_path / "odd.png"), np.zeros((4, 11), np.uint8))
+    with pytest.raises(BagError, match=r"odd\.png: is 11x4, an odd width has no two halves"):
+        list(open_stereo_images(tmp_path, "odd*", side_by_side=True))
+
+
 def test_color_images_are_converted_to_gray(tmp_path: Path) -> None:
     for name in ("left1.png", "right1.png"):
         cv2.imwrite(str(tmp_path / name), np.full((4, 6, 3), (0, 0, 200), np.uint8))
@@ -143,3 +165,13 @@ def test_rectified_bags_are_refused(tmp_path: Path) -> None:
             bag.write(f"/{side}/image_rect", message, image.stamp_ns)
     with pytest.raises(TopicError, match="rectified already: calibrate with raw images"):
         open_stereo_images(tmp_path / "r.mcap")
+
+
+def test_raw_images_are_preferred_also_without_camera_infos(tmp_path: Path) -> None:
+    types, frame = RosbagsTypes(), sequence(1)[0]
+    with BagWriter(tmp_path / "both.mcap") as bag:
+        for side, image in (("left", frame.pair.left), ("right", frame.pair.right)):
+            for kind in ("raw", "rect"):
+                bag.write(f"/{side}/image_{kind}", image_message(types, image.pixels, "mono8", 5, side), 5)
+            bag.write(f"/{side}/camera_info_rect", camera_info_message(types, sequence(1).rig.left, 5), 5)
+    assert len(list(open_stereo_images(tmp_path / "both.mcap"))) == 1

@@ -193,6 +193,7 @@ class BagPairs:
         part: which part that is, in words; empty for the whole bag.
         unpaired_left, unpaired_right: images without a partner; final when :meth:`pairs` is exhausted.
         losses: why most images are in no pair, and what was left out, a sentence each; final as those.
+        unset: the error of stamps that are not set, where they are why there is one pair at most; final as those.
         warning: one sentence about a bag that is cut; empty where it is complete.
 
     Raises:
@@ -216,6 +217,7 @@ class BagPairs:
         self.count = math.ceil(share * self._reader.topics[self.topics.left_image].count)
         self.unpaired_left = self.unpaired_right = 0
         self.losses: tuple[str, ...] = ()
+        self.unset: TopicError | None = None
         self.warning = self._reader.warning
 
     def pairs(self) -> Iterator[SerializedPair]:
@@ -267,6 +269,7 @@ class BagPairs:
         if self._unsplit:
             yield f"{len(self._unsplit)} images left out, {self._unsplit[0]}"
         if error := unset_stamps(arrivals, names):
+            self.unset = error if counts.paired <= 1 else None
             yield str(error)
             return
         if max(counts.dropped_left, counts.dropped_right) > counts.paired:

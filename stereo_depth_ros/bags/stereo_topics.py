@@ -13,11 +13,9 @@ from stereo_depth_ros.bags.topics import StereoTopics, stereo_candidates
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import StereoDepthError, TopicError
 from stereo_depth_ros.messages.image import image_size
-from stereo_depth_ros.messages.side_by_side import split_message
+from stereo_depth_ros.messages.side_by_side import WIDE, split_message
 
 __all__ = ["CameraImages", "bag_candidates", "bag_topics"]
-
-_WIDE = 2.4  # width over height of two images side by side; those of one camera have up to 2.39 (cinema), rarely more
 
 
 def bag_topics(
@@ -86,7 +84,7 @@ def _looks_like_two(reader: BagReader, topics: StereoTopics) -> str:
         if (width, height) != (2 * camera.width, camera.height):
             return ""
         return f"{width}x{height} where the camera infos are for {camera.width}x{camera.height}"
-    return f"{width}x{height}" if width >= _WIDE * height else ""
+    return f"{width}x{height}" if width >= WIDE * height else ""
 
 
 def _first(reader: BagReader, topic: str | None) -> Any:

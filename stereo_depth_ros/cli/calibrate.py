@@ -81,14 +81,18 @@ def calibrate(
             metavar="TOPIC|GLOB", help="Read the right images from this topic or these files; found by default."
         ),
     ] = None,
+    side_by_side: Annotated[
+        bool, typer.Option("--side-by-side", help="Read both images from one topic, or from each file of the folder.")
+    ] = False,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Calibrate both cameras and the rig from image pairs of a calibration board.
 
     In a folder, the names of the two images of a pair differ only in the camera: left01.png and right01.png,
-    left/01.png and right/01.png, cam0/01.png and cam1/01.png. From a bag, views that differ from each other are
-    selected. Both cameras must see the whole chessboard, or a part of a ChArUco board or an aprilgrid.
+    left/01.png and right/01.png, cam0/01.png and cam1/01.png; with --side-by-side each file holds both. From a bag,
+    views that differ from each other are selected. Both cameras must see the whole chessboard, or a part of a ChArUco
+    board or an aprilgrid.
 
     --size counts inner corners of a chessboard, squares of a ChArUco board, or tags of an aprilgrid (family 36h11, in
     the layout of Kalibr). Use plumb_bob for common lenses, rational_polynomial for wide-angle lenses (with many views
@@ -120,7 +124,7 @@ def calibrate(
     sought = board_of_size(counts)
     if output.exists() and not output.is_dir():
         raise OutputError("is not a folder", subject=str(output), remedy="name a folder", settings=("output",))
-    images, coverage = open_stereo_images(place, left, right), output / "coverage.png"
+    images, coverage = open_stereo_images(place, left, right, side_by_side=side_by_side), output / "coverage.png"
     check_outputs([*calibration_files(output), coverage], images.files, reports=[json_file], overwrite=overwrite)
     with progress_bar("looking for the board") as progress:
         found = find_views(images, sought, board_of_size, progress)

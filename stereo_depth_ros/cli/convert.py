@@ -110,6 +110,9 @@ def images(
     right_yaml: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Use this right calibration instead of DIR/right.yaml.")
     ] = None,
+    side_by_side: Annotated[
+        bool, typer.Option("--side-by-side", help="Read both images from each file, the left one from its left half.")
+    ] = False,
     rate: Rate = 10.0,
     overwrite: Overwrite = False,
 ) -> None:
@@ -124,7 +127,8 @@ def images(
     Example:
       stereo-depth convert images recording drive.mcap --left-yaml left.yaml --right-yaml right.yaml --rate 15
     """
-    _convert(ImagesDataset(folder, left_yaml=left_yaml, right_yaml=right_yaml), output, rate, overwrite)
+    dataset = ImagesDataset(folder, left_yaml=left_yaml, right_yaml=right_yaml, side_by_side=side_by_side)
+    _convert(dataset, output, rate, overwrite)
 
 
 def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bool) -> None:

@@ -21,11 +21,11 @@ from stereo_depth_ros.cli.evaluate_tables import bias_warnings, evaluate_tables
 from stereo_depth_ros.cli.given import given_parameters, refuse_files
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, SideBySide, new_app
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progress_bar, show, tell, warn
-from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.errors import BagError, ConfigError, StereoDepthError
-from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
+from stereo_depth_ros.diagnosis.opening import open_selection
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
 from stereo_depth_ros.evaluation.evaluator import Evaluation
 from stereo_depth_ros.evaluation.evaluator import evaluate as evaluate_matcher
@@ -129,7 +129,7 @@ def _scenes(place: Path, side_by_side: bool) -> SceneSet:
                 "--side-by-side has no effect with a folder", subject=str(place), remedy="leave it out, or name a bag"
             )
         return find_scenes(place)
-    selection, choice = choose_topics(BagSelection(place, side_by_side=side_by_side))
+    selection, choice = open_selection(BagSelection(place, side_by_side=side_by_side), PairingConfig())
     if choice:
         warn(choice)
     return BagScenes(selection)

@@ -22,7 +22,7 @@ from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
-from stereo_depth_ros.datasets.image_files import read_image
+from stereo_depth_ros.datasets.image_files import read_image, read_pair
 from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.geometry.calibrated_rectification import METHODS, common_area, rectify_calibrated
@@ -46,8 +46,13 @@ _AGREE_PX = 3.0  # matches whose row error differs more from the median are outl
 def rectify(
     context: typer.Context,
     left: Annotated[Path, typer.Argument(metavar="LEFT", help="Read this raw image of the left camera.")],
-    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Read this raw image of the right camera.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Write the files to this folder.")],
+    right: Annotated[
+        Path | None, typer.Argument(metavar="RIGHT", help="Read this raw image of the right camera.")
+    ] = None,
+    side_by_side: Annotated[
+        bool, typer.Option("--side-by-side", help="Read both images from LEFT, which is the only one then.")
+    ] = False,
     rig: Annotated[
         list[Path] | None,
         typer.Option("--rig", metavar="FILE|DIR|BAG", help="Use this calibration: left.yaml, its folder, or a bag."),
@@ -83,11 +88,13 @@ def rectify(
       stereo-depth rectify left.png right.png --rig calibration -o out
       stereo-depth rectify left.png right.png --rig left.yaml --method textbook --alpha 0.5 -o out
       stereo-depth rectify left.jpg right.jpg --uncalibrated -o out --json -
+      stereo-depth rectify both.png --side-by-side --rig calibration -o out
     """
     if rig is None and not uncalibrated:
         raise ConfigError(
             "neither --rig nor --uncalibrated is given", remedy="give the calibration, or rectify without one"
         )
+    right = _right_path(left, right, side_by_side)
     refuse_files("--output", output)
     if method is None:
         refuse_ignored(context, ["alpha"], "without --method", "add --method, such as textbook")
@@ -98,7 +105,7 @@ def rectify(
     names = ("left.png", "right.png", "rows.png", *(("left.yaml", "right.yaml") if method is not None else ()))
     inputs = [left, right, *(rig_files(rig) if rig else ())]
     check_outputs([output / name for name in names], inputs, reports=[json_file], overwrite=overwrite)
-    images = _Pair(read_image(left), read_image(right))
+    images = _Pair(*(read_pair(left, right) if side_by_side else (read_image(left), read_image(right))))
     known = read_rig(rig) if rig else None
     raw = match_features(images.left_gray, images.right_gray)
     result: dict[str, Any] = {"left": str(left), "right": str(right), "output": str(output)}
@@ -120,6 +127,20 @@ def rectify(
     show([_table(result)], result, json_file, overwrite=overwrite)
     if uncalibrated and known is None:
         warn("the lenses are assumed to have no distortion: give --rig if they have")
+
+
+def _right_path(left: Path, right: Path | None, side_by_side: bool) -> Path:
+    """The file of the right image: that of the left one where both are side by side."""
+    if side_by_side and right is not None:
+        raise ConfigError(
+            f"{right} has no effect with --side-by-side, both images are in {left}", remedy="name one image"
+        )
+    if right is None and not side_by_side:
+        raise ConfigError(
+            "the image of the right camera is missing",
+            remedy="name it after that of the left camera, or give --side-by-side where one file holds both",
+        )
+    return right or left
 
 
 @dataclass(frozen=True)

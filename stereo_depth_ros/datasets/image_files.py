@@ -23,10 +23,12 @@ __all__ = [
     "IMAGE_SUFFIXES",
     "check_sizes",
     "checked_truth",
+    "image_frame",
     "list_images",
     "read_disparity_image",
     "read_frame",
     "read_image",
+    "read_pair",
 ]
 
 
@@ -47,6 +49,27 @@ def read_image(path: Path) -> U8:
         BagError: not a readable image.
     """
     return np.asarray(_read(path, cv2.IMREAD_ANYCOLOR), np.uint8)
+
+
+def read_pair(left: Path, right: Path) -> tuple[U8, U8]:
+    """Both images as of :func:`read_image`; of one file for both, its left and its right half.
+
+    Raises:
+        BagError: not a readable image, or the width of one file for both is odd.
+    """
+    if left != right:
+        return read_image(left), read_image(right)
+    pixels = read_image(left)
+    height, width = pixels.shape[:2]
+    if width % 2:
+        raise BagError(
+            f"is {width}x{height}, an odd width has no two halves",
+            subject=str(left),
+            value=width,
+            limit="an even width",
+            remedy="side by side are two images of equal widths",
+        )
+    return np.ascontiguousarray(pixels[:, : width // 2]), np.ascontiguousarray(pixels[:, width // 2 :])
 
 
 def read_disparity_image(path: Path) -> npt.NDArray[Any]:
@@ -96,7 +119,11 @@ def read_frame(path: Path, camera: CameraModel, stamp_ns: int = 0) -> Frame:
     Raises:
         BagError: not a readable image.
     """
-    pixels = read_image(path)
+    return image_frame(read_image(path), camera, stamp_ns)
+
+
+def image_frame(pixels: U8, camera: CameraModel, stamp_ns: int = 0) -> Frame:
+    """The pixels of :func:`read_image` as a frame of ``camera``, mono8 or bgr8."""
     return Frame(pixels, stamp_ns, camera.frame_id, "mono8" if pixels.ndim == 2 else "bgr8")
 
 

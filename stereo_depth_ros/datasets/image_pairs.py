@@ -11,7 +11,8 @@ from pathlib import Path, PurePosixPath
 from typing import TypeAlias
 
 from stereo_depth_ros.core.errors import BagError
-from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES
+from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES, read_image
+from stereo_depth_ros.messages.side_by_side import WIDE
 
 __all__ = ["ImagePairs", "find_image_pairs"]
 
@@ -49,7 +50,9 @@ class ImagePairs:
     warnings: list[str] = field(default_factory=list)
 
 
-def find_image_pairs(folder: Path, left: str | None = None, right: str | None = None) -> ImagePairs:
+def find_image_pairs(
+    folder: Path, left: str | None = None, right: str | None = None, *, side_by_side: bool = False
+) -> ImagePairs:
     """Pairs of files whose paths differ only in the camera: left, right; l, r; cam0, cam1; image_0, image_1.
 
     Leading zeros, case and the suffixes of image files are ignored. The side is given by a folder named after a camera,
@@ -61,10 +64,13 @@ def find_image_pairs(folder: Path, left: str | None = None, right: str | None = 
         left, right: patterns such as "a/*.png" and "b/*.png"; in a pair the wildcards match text that is equal but for
             the camera. One pattern, or twice the same, stands for the files of both cameras, where a wildcard matches
             the camera: "cam*/*.png" of cam1 and cam2, "img*.png" of imgL01.png and imgR01.png.
+        side_by_side: each file holds both images and is both files of a pair; a pattern is that of these files.
 
     Raises:
         BagError: no pairs, files of one side only, or two files that could be the same image of a pair.
     """
+    if side_by_side:
+        return _both_in_one(folder, left or right)
     skipped: dict[Path, str] = {}
     whole: tuple[Texts, Texts] | None = None
     one = left or right if None in (left, right) or left == right else None
@@ -107,6 +113,14 @@ def find_image_pairs(folder: Path, left: str | None = None, right: str | None = 
 
 def _paths(folder: Path, files: Iterable[Path]) -> Texts:
     return {path: path.relative_to(folder).as_posix().lower() for path in files}
+
+
+def _both_in_one(folder: Path, pattern: str | None) -> ImagePairs:
+    texts = _by_pattern(folder, pattern or "**/*")
+    if not texts:
+        raise BagError("has no images", subject=str(folder), value=pattern, remedy="name a folder with images")
+    paths = sorted(texts, key=lambda path: _key(path.relative_to(folder).as_posix().lower()))
+    return ImagePairs([(path, path) for path in paths])
 
 
 def _images(folder: Path) -> list[Path]:
@@ -272,14 +286,32 @@ def _check_patterns(left: Texts, right: Texts) -> None:
 
 
 def _check_sides(folder: Path, left: Texts, right: Texts) -> None:
+    if left and right:
+        return
+    _refuse_side_by_side(folder)
     if not left and not right:
         raise BagError("has no images of a left and a right camera", subject=str(folder), remedy=_NAMING)
-    for paths, here, missing in ((right, left, "right"), (left, right, "left")):
-        if not paths:
-            example = next(iter(here)).name
-            raise BagError(
-                f"has {len(here)} images such as {example} and none of the {missing} camera",
-                subject=str(folder),
-                value=len(here),
-                remedy=_NAMING,
-            )
+    here, missing = (left, "right") if left else (right, "left")
+    raise BagError(
+        f"has {len(here)} images such as {next(iter(here)).name} and none of the {missing} camera",
+        subject=str(folder),
+        value=len(here),
+        remedy=_NAMING,
+    )
+
+
+def _refuse_side_by_side(folder: Path) -> None:
+    """Raise BagError where the first image looks like two side by side."""
+    first = next(iter(_images(folder)), None)
+    try:
+        height, width = (1, 0) if first is None else read_image(first).shape[:2]
+    except BagError:
+        return
+    if first is not None and width >= WIDE * height:
+        raise BagError(
+            f"{first.name} looks like both images side by side, {width}x{height}",
+            subject=str(folder),
+            value=(width, height),
+            remedy="read both from each file",
+            settings=("side_by_side",),
+        )

@@ -11,7 +11,7 @@ from pathlib import Path
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.datasets.dataset import DatasetFrame
-from stereo_depth_ros.datasets.image_files import check_sizes, list_images, read_frame
+from stereo_depth_ros.datasets.image_files import image_frame, list_images, read_pair
 from stereo_depth_ros.datasets.image_pairs import ImagePairs, find_image_pairs
 
 __all__ = ["ImagesDataset"]
@@ -26,6 +26,7 @@ class ImagesDataset:
     Args:
         folder: holds the images, and ``left.yaml`` and ``right.yaml``.
         left_yaml, right_yaml: other calibration files.
+        side_by_side: each file holds both images.
 
     Raises:
         BagError: no pairs, two images of one side in a pair, or no calibration.
@@ -34,8 +35,15 @@ class ImagesDataset:
 
     has_stamps = False
 
-    def __init__(self, folder: Path, *, left_yaml: Path | None = None, right_yaml: Path | None = None) -> None:
-        found = _find_pairs(folder)
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        left_yaml: Path | None = None,
+        right_yaml: Path | None = None,
+        side_by_side: bool = False,
+    ) -> None:
+        found = find_image_pairs(folder, side_by_side=True) if side_by_side else _find_pairs(folder)
         files = left_yaml or folder / "left.yaml", right_yaml or folder / "right.yaml"
         if missing := [str(path) for path in files if not path.exists()]:
             raise BagError(
@@ -47,19 +55,20 @@ class ImagesDataset:
         self._pairs, self.skipped, self.warnings = found.pairs, len(found.skipped), found.warnings
         self.files = [*files, *(path for pair in found.pairs for path in pair), *found.skipped]
         self.rig = _named(StereoRig.from_yaml(*files))
-        for path in self._pairs[0]:
-            check_sizes(self.rig, path)
+        self._frame(*self._pairs[0])
 
     def __len__(self) -> int:
         return len(self._pairs)
 
     def __iter__(self) -> Iterator[DatasetFrame]:
-        for left, right in self._pairs:
-            frames = read_frame(left, self.rig.left), read_frame(right, self.rig.right)
-            for path, frame in zip((left, right), frames, strict=True):
-                height, width = frame.pixels.shape[:2]
-                self.rig.check_image(width, height, str(path))
-            yield DatasetFrame(*frames)
+        return (self._frame(*pair) for pair in self._pairs)
+
+    def _frame(self, left: Path, right: Path) -> DatasetFrame:
+        images = read_pair(left, right)
+        for path, pixels in zip((left, right), images, strict=True):
+            height, width = pixels.shape[:2]
+            self.rig.check_image(width, height, str(path))
+        return DatasetFrame(image_frame(images[0], self.rig.left), image_frame(images[1], self.rig.right))
 
 
 def _named(rig: StereoRig) -> StereoRig:

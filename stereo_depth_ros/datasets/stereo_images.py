@@ -20,7 +20,7 @@ from stereo_depth_ros.core.errors import BagError, TopicError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.types import U8, Frame
-from stereo_depth_ros.datasets.image_files import read_image
+from stereo_depth_ros.datasets.image_files import read_pair
 from stereo_depth_ros.datasets.image_pairs import find_image_pairs
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.messages.image import decode_pair
@@ -60,12 +60,15 @@ class StereoImages(Protocol):
         """The pairs in order."""
 
 
-def open_stereo_images(place: Path, left: str | None = None, right: str | None = None) -> StereoImages:
+def open_stereo_images(
+    place: Path, left: str | None = None, right: str | None = None, *, side_by_side: bool = False
+) -> StereoImages:
     """The pairs of a bag or of a folder.
 
     Args:
         place: a bag, or a folder of image files.
         left, right: image topics of the bag, or patterns of file names in the folder; None finds them.
+        side_by_side: both images are in one topic, or in one file.
 
     Raises:
         BagError, TopicError: nothing there, or no pairs in it.
@@ -73,8 +76,8 @@ def open_stereo_images(place: Path, left: str | None = None, right: str | None =
     if not place.exists():
         raise BagError("does not exist", subject=str(place), remedy="name a folder of images, or a bag")
     if place.is_file() or is_bag(place):
-        return BagImages(place, left, right)
-    return FolderImages(place, left, right)
+        return BagImages(place, left, right, side_by_side=side_by_side)
+    return FolderImages(place, left, right, side_by_side=side_by_side)
 
 
 class FolderImages:
@@ -84,6 +87,7 @@ class FolderImages:
         folder: holds the images.
         left, right: patterns such as "a/*.png" and "b/*.png", or one for both, see :func:`find_image_pairs`; None uses
             the words for the cameras.
+        side_by_side: each file holds both images.
 
     Raises:
         BagError: see :func:`find_image_pairs`.
@@ -91,11 +95,13 @@ class FolderImages:
 
     dense = False
 
-    def __init__(self, folder: Path, left: str | None = None, right: str | None = None) -> None:
+    def __init__(
+        self, folder: Path, left: str | None = None, right: str | None = None, *, side_by_side: bool = False
+    ) -> None:
         try:
-            found = find_image_pairs(folder, left, right)
+            found = find_image_pairs(folder, left, right, side_by_side=side_by_side)
         except BagError as error:
-            if left is not None or right is not None:
+            if left is not None or right is not None or "side_by_side" in error.settings:
                 raise
             raise BagError(
                 error.problem,
@@ -112,11 +118,11 @@ class FolderImages:
 
     def __iter__(self) -> Iterator[ImagePair]:
         for left, right in self._pairs:
-            yield ImagePair(left.name, _gray(left), _gray(right))
+            one, other = read_pair(left, right)
+            yield ImagePair(left.name, _gray(one), _gray(other))
 
 
-def _gray(path: Path) -> U8:
-    pixels = read_image(path)
+def _gray(pixels: U8) -> U8:
     return to_gray(Frame(pixels, 0, "", "mono8" if pixels.ndim == 2 else "bgr8"))
 
 

@@ -13,7 +13,9 @@ from stereo_depth_ros.messages.encodings import ENCODINGS
 from stereo_depth_ros.messages.image import image_size, uncompressed_message
 from stereo_depth_ros.messages.types import MessageTypes, make_header, stamp_ns
 
-__all__ = ["split_message"]
+__all__ = ["WIDE", "split_message"]
+
+WIDE = 2.4  # width over height of two images side by side; those of one camera have up to 2.39 (cinema), rarely more
 
 
 def split_message(

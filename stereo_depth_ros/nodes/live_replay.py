@@ -12,7 +12,7 @@ from typing import Literal
 
 from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.config import PipelineConfig
-from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
+from stereo_depth_ros.diagnosis.opening import open_selection
 from stereo_depth_ros.nodes.readiness import wait_until_ready
 from stereo_depth_ros.nodes.replay_node import check_recording, replay
 from stereo_depth_ros.nodes.transport import prepare_process
@@ -52,7 +52,7 @@ def replay_through_graph(
         GraphError: a node ended, or no output arrives.
     """
     check_recording(options)
-    chosen, choice = choose_topics(options.selection, config.pairing)
+    chosen, choice = open_selection(options.selection, config.pairing)
     options = replace(options, left_topic=chosen.left or "", right_topic=chosen.right or "")
     with BagPairs(chosen, config.pairing) as pairs:
         transport = "compressed" if pairs.topics.compressed else "raw"

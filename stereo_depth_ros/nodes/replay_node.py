@@ -9,7 +9,7 @@ import functools
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -23,9 +23,9 @@ from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
-from stereo_depth_ros.core.errors import BagError, CalibrationError, CameraOrderError, GraphError, StereoDepthError
+from stereo_depth_ros.core.errors import CalibrationError, CameraOrderError, GraphError, StereoDepthError
 from stereo_depth_ros.core.interrupts import handled_signals
-from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
+from stereo_depth_ros.diagnosis.opening import open_selection
 from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.nodes.command_line import answer_help, start_ros
 from stereo_depth_ros.nodes.first_pairs_watch import FIRST_PAIRS, ORDER
@@ -113,7 +113,7 @@ def play(
 ) -> RunReport:
     """As :func:`replay`, with an existing node."""
     check_recording(options)
-    selection, choice = choose_topics(options.selection, config.pairing)
+    selection, choice = open_selection(options.selection, config.pairing)
     with BagPairs(selection, config.pairing) as pairs:
         with Recorder(options.output_path, overwrite=options.overwrite) as recorder:
             recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
@@ -126,7 +126,7 @@ def play(
             finally:
                 ports.close()
             _check_rig(options, ports)
-            _check_played(options, player, ports.errors_reported(), pairs.losses)
+            _check_played(options, player, ports.errors_reported())
         result = RunReport(
             bag=options.selection.path,
             output=options.output_path,
@@ -155,15 +155,8 @@ def _check_rig(options: ReplayOptions, ports: GraphPorts) -> None:
         raise CalibrationError(fault, subject=options.bag)
 
 
-def _check_played(options: ReplayOptions, player: Player, errors_reported: str, losses: Sequence[str]) -> None:
+def _check_played(options: ReplayOptions, player: Player, errors_reported: str) -> None:
     """Refuse to keep a recording without outputs."""
-    if not player.sent:
-        raise BagError(
-            "; ".join((f"no pair after {options.start_seconds:g} s", *losses)),
-            subject=options.bag,
-            remedy="begin earlier, or play more",
-            settings=("start_seconds", "duration_seconds"),
-        )
     if options.output_path is not None and not any(stats.received for stats in player.stats.values()):
         reason = errors_reported or "the nodes report no error"
         raise GraphError(f"no output for any of {player.sent} pairs", value=0, limit=player.sent, remedy=reason)

@@ -17,12 +17,11 @@ from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
-from stereo_depth_ros.core.errors import BagError, CameraOrderError, OutputError, StereoDepthError
+from stereo_depth_ros.core.errors import CameraOrderError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
-from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
+from stereo_depth_ros.diagnosis.opening import no_pair_error, open_selection, skipped_text
 from stereo_depth_ros.evaluation.bag_score import score_disparity
-from stereo_depth_ros.messages.cdr import stamp_text
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
@@ -53,7 +52,7 @@ def process_bag(
         strict: raise what is a warning otherwise: the first pairs do not fit the calibration, see :class:`FirstPairs`.
 
     Raises:
-        BagError, TopicError: no readable stereo bag, or no pair that can be processed.
+        BagError, TopicError: no readable stereo bag, stamps that are not set, or no pair that can be processed.
         CalibrationError, ImageError: the first pairs do not fit the calibration, with ``strict``; nothing is written.
         CameraOrderError: left and right are swapped, which a pair shows at last; nothing is written.
         OutputError: an existing output without ``overwrite``, an output that is read, or it cannot be written.
@@ -63,7 +62,7 @@ def process_bag(
     refused: dict[str, str] = {}
     stages_ms: dict[str, list[float]] = defaultdict(list)
     engine = _Engine(config)
-    selection, choice = choose_topics(selection, config.pairing)
+    selection, choice = open_selection(selection, config.pairing)
     with BagPairs(selection, config.pairing) as pairs:
         with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
             start, warm_up_s, sent, skipped = time.perf_counter(), 0.0, 0, 0
@@ -76,7 +75,7 @@ def process_bag(
                     raise
                 except StereoDepthError as error:
                     skipped += 1
-                    refused.setdefault(type(error).__name__, f"pair {stamp_text(pair.stamp_ns)} skipped: {error}")
+                    refused.setdefault(type(error).__name__, skipped_text(pair.stamp_ns, error))
                 else:
                     for stage, ms in timings_ms.items():
                         stages_ms[stage].append(ms)
@@ -87,15 +86,7 @@ def process_bag(
             engine.finish()
             _refuse(engine.fault, selection.path, strict)
             if engine.rig is None or not writer.message_count:
-                reasons = "; ".join((*refused.values(), *pairs.losses)) or (
-                    f"there are none {pairs.part}" if pairs.part else "it holds no pairs of the given pairing"
-                )
-                raise BagError(
-                    f"no pair could be processed: {reasons}",
-                    subject=str(selection.path),
-                    value=0,
-                    remedy="examine the bag with the doctor",
-                )
+                raise no_pair_error(pairs, selection.path, refused.values())
             writer.write_metadata("stereo_depth_ros", provenance(config, engine.rig, bag=selection.path))
         return RunReport(
             bag=selection.path,
