@@ -33,7 +33,7 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import read_pairs
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.cli import main as cli
-from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.config import CONFIGS, PipelineConfig, parameter_infos
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import StereoDepthError
@@ -56,6 +56,17 @@ from stereo_depth_ros.synthetic.bag import write_synthetic_bag
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 __all__ = ["TARGETS", "Target", "run_case"]
+
+
+def _mostly(usual: st.SearchStrategy[Any], rare: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    """A usual case in seven of eight; ``st.one_of`` has all of its strategies equally often, and repeated ones once."""
+    return st.sampled_from(range(8)).flatmap(lambda number: usual if number else rare)
+
+
+def _rarely(cases: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    """None in seven of eight."""
+    return _mostly(st.none(), cases)
+
 
 WIDTH, HEIGHT = 64, 48
 _REAL_SIZES = st.sampled_from((0, 1, 2, 3, WIDTH, HEIGHT, 640, 2**15, 2**16, 30_000, 2**31 - 1, 2**31, 2**32 - 1))
@@ -124,17 +135,17 @@ def _header(stamp: tuple[int, int] = (1, 2), frame_id: str = "left") -> Any:
     return SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]), frame_id=frame_id)
 
 
-_STAMPS = st.tuples(st.integers(-(2**31), 2**31 - 1), _NANOSECONDS)
+_STAMPS = _mostly(st.just((1, 2)), st.tuples(st.integers(-(2**31), 2**31 - 1), _NANOSECONDS))
 _IMAGES = st.fixed_dictionaries(
     {
         "stamp": _STAMPS,
         "frame_id": _TEXTS,
-        "height": _SIZES,
-        "width": _SIZES,
-        "encoding": st.one_of(st.sampled_from(sorted(ENCODINGS)), st.sampled_from(sorted(ENCODINGS)), _TEXTS),
+        "height": _mostly(st.integers(1, 40), _SIZES),
+        "width": _mostly(st.integers(1, 40), _SIZES),
+        "encoding": _mostly(st.sampled_from(sorted(ENCODINGS)), _TEXTS),
         "is_bigendian": st.integers(0, 255),
-        "step": st.one_of(st.none(), st.none(), _SIZES),
-        "size": st.one_of(st.none(), st.none(), st.integers(0, 20_000)),
+        "step": _rarely(_SIZES),
+        "size": _rarely(st.integers(0, 20_000)),
     }
 )
 
@@ -190,18 +201,21 @@ def _run_compressed(case: tuple[str, bytes], _: Path) -> None:
     decode(message, "image")
 
 
+_NUMBERS = st.tuples(
+    st.sampled_from("krpd"),
+    st.integers(0, 11),
+    st.one_of(_FLOATS, st.floats(-1000, 1000), st.floats(-0.1, 0.1), st.just(0.0)),
+)
 _INFOS = st.fixed_dictionaries(
     {
-        "numbers": st.lists(st.tuples(st.sampled_from("krpd"), st.integers(0, 11), _FLOATS), max_size=4),
-        "count": st.one_of(st.none(), st.sampled_from((0, 1, 4, 5, 8, 12, 14, 15, 1000))),
-        "model": st.one_of(
-            st.none(), st.sampled_from(("equidistant", "rational_polynomial", "fisheye", "none")), _TEXTS
-        ),
-        "size": st.one_of(st.none(), st.none(), st.tuples(_SIZES, _SIZES)),
-        "binning": st.one_of(st.none(), st.tuples(_SIZES, _SIZES)),
-        "roi": st.one_of(st.none(), st.tuples(_SIZES, _SIZES, _SIZES, _SIZES)),
-        "frame_id": st.one_of(st.none(), _TEXTS),
-        "stamp": st.one_of(st.none(), _STAMPS),
+        "numbers": st.lists(_NUMBERS, max_size=2),
+        "count": _rarely(st.sampled_from((0, 1, 4, 5, 8, 12, 14, 15, 1000))),
+        "model": _rarely(st.one_of(st.sampled_from(("equidistant", "rational_polynomial", "fisheye")), _TEXTS)),
+        "size": _rarely(st.tuples(_SIZES, _SIZES)),
+        "binning": _rarely(st.tuples(_SIZES, _SIZES)),
+        "roi": _rarely(st.tuples(_SIZES, _SIZES, _SIZES, _SIZES)),
+        "frame_id": _rarely(_TEXTS),
+        "stamp": _rarely(_STAMPS),
     }
 )
 
@@ -249,8 +263,8 @@ _DISPARITIES = st.fixed_dictionaries(
     {
         "image": _IMAGES,
         "plain": st.booleans(),
-        "f": st.one_of(st.none(), _FLOATS),
-        "t": st.one_of(st.none(), _FLOATS),
+        "f": _rarely(_FLOATS),
+        "t": _rarely(_FLOATS),
         "min_disparity": _FLOATS,
     }
 )
@@ -449,6 +463,20 @@ def _npz() -> bytes:
     return file.getvalue()
 
 
+def _damaged_npz(seed: int) -> bytes:
+    """The file is damaged, or the array in it."""
+    random = np.random.default_rng(seed)
+    if random.integers(3) == 0:
+        return mutated(_npz(), random)
+    array, file = io.BytesIO(), io.BytesIO()
+    np.save(array, np.arange(24, dtype=np.float32).reshape(4, 6))
+    data = array.getvalue()
+    data = mutated(data[:128], random) + data[128:] if random.integers(2) else mutated(data, random)
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("arr_0.npy", data)
+    return file.getvalue()
+
+
 def _npz_of(header: bytes, payload: bytes, count: int = 1) -> bytes:
     """An .npz file with an array of this header; the payload is repeated."""
     file = io.BytesIO()
@@ -509,25 +537,13 @@ disparity_node:
 
 
 def _lines() -> st.SearchStrategy[str]:
-    """Documents of YAML's parts in any order."""
+    """Documents of YAML's parts in any order, most of them without what no document may hold."""
     parts = st.sampled_from(
-        (
-            *" \n\t-:,[]{}&*!|>'\"#%@`?",
-            "\n  ",
-            "- ",
-            ": ",
-            "a",
-            "&a ",
-            "*a",
-            "<<: *a",
-            "!!set",
-            "---\n",
-            "...\n",
-            "~",
-            "1",
-        )
+        (*" \n\t-:,[]{}&*!|>'\"#%@`?", "\n  ", "- ", ": ", "a", "&a ", "*a", "<<: *a", "!!set", "---\n", "...\n", "~")
     )
-    return st.lists(st.one_of(parts, _TEXTS), max_size=40).map("".join)
+    words = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=5)
+    plain = st.lists(st.one_of(parts, parts, words), max_size=20).map("".join)
+    return _mostly(plain, st.lists(st.one_of(parts, _TEXTS), max_size=20).map("".join))
 
 
 def _laughs(levels: int) -> bytes:
@@ -547,15 +563,14 @@ def _run_parameter_file(case: bytes, folder: Path) -> None:
     pipeline_config(read_params_file(folder / "params.yaml"))
 
 
+_PARAMETERS = sorted({info.name for config in CONFIGS.values() for info in parameter_infos(config)})
 _ASSIGNMENTS = st.lists(
-    st.one_of(
-        st.tuples(
-            st.sampled_from(("stereo_algorithm", "disparity_range", "P1", "use_color", "depth_encoding", "onnx_model")),
-            st.one_of(_TEXTS, _lines(), st.integers().map(str), st.floats().map(str), st.sampled_from(("9" * 5000,))),
-        ).map(":=".join),
-        _TEXTS,
+    _mostly(
+        st.tuples(st.sampled_from(_PARAMETERS), st.one_of(_lines(), st.integers().map(str))).map(":=".join),
+        st.one_of(_TEXTS, st.tuples(st.sampled_from(_PARAMETERS), st.floats().map(str)).map(":=".join)),
     ),
-    max_size=3,
+    min_size=1,
+    max_size=2,
 )
 
 
@@ -626,6 +641,8 @@ _HUGE_HEADERS = tuple(
     _npz_of(f"{{'descr': {descr!r}, 'fortran_order': False, 'shape': {shape}, }}".encode(), bytes(2**12))
     for descr, shape in (("<f4", "(1099511627776, 8)"), ("|O", "(8, 8)"), ("<f4", "(8,)"), ("<c16", "(8, 8)"))
 )
+_KNOWN_FILES = (_PARAMETER_FILE, _laughs(30), b"[" * 10_000, b"/**: {ros__parameters: {P1: [{}]}}")
+_KNOWN_TEXTS = ("P1:=" + "9" * 5000, ":=", "P1:=&a [*a]", "P1:=- : -T")
 _PLAIN_IMAGE = {
     **{"stamp": (1, 2), "frame_id": "left", "height": HEIGHT, "width": WIDTH, "encoding": "mono8"},
     **{"is_bigendian": 0, "step": None, "size": None},
@@ -688,9 +705,9 @@ TARGETS: tuple[Target, ...] = (
     Target("serialized messages", _SEEDS.map(_damaged_message), _run_serialized, examples=200),
     Target("bags", _mutated_of(lambda: (_bag(),)), _run_bag, examples=20),
     Target("datasets", _SEEDS.map(_damaged_dataset), _run_dataset, (("kitti", {}),), examples=150),
-    Target("npz", _mutated_of(lambda: (_npz(), *_HUGE_HEADERS)), _run_npz, _HUGE_HEADERS),
+    Target("npz", _SEEDS.map(_damaged_npz), _run_npz, _HUGE_HEADERS),
     Target("image files", _mutated_of(_encoded), _run_image_file, (_png_of(20_000, 20_000), b"P5 60000 60000 255\n")),
-    Target("parameter files", _PARAMETER_FILES, _run_parameter_file, (_PARAMETER_FILE, _laughs(30), b"[" * 10_000)),
-    Target("parameters", _ASSIGNMENTS, _run_assignments, (["P1:=" + "9" * 5000], [":="], ["P1:=&a [*a]"])),
+    Target("parameter files", _PARAMETER_FILES, _run_parameter_file, _KNOWN_FILES),
+    Target("parameters", _ASSIGNMENTS, _run_assignments, tuple([text] for text in _KNOWN_TEXTS)),
     Target("command line", _COMMANDS, _run_command, (("info", ["[red]"]), ("rig", ["~nosuchuser"])), examples=40),
 )

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -61,16 +62,15 @@ def node_parameters(path: Path, *nodes: str) -> dict[str, Any]:
         ConfigError: the file cannot be read or is not a parameter file.
     """
     remedy = "name a YAML file of ROS parameters"
+    sections: dict[str, dict[str, Any]] = {}
     try:
         roots = parse_yaml(read_text(path, ConfigError, remedy))
+        for name, parameters in chain.from_iterable(_sections(root, "", path) for root in roots):
+            sections.setdefault(name, {}).update(parameters)
     except YamlError as error:
         raise ConfigError(f"is not a parameter file ({error})", subject=str(path), remedy=remedy) from error
     if not roots:
         raise _not_a_parameter_file(path)
-    sections: dict[str, dict[str, Any]] = {}
-    for root in roots:
-        for name, parameters in _sections(root, "", path):
-            sections.setdefault(name, {}).update(parameters)
     names = [f"/{node}" for node in nodes]
     found: dict[str, Any] = {}
     for section, parameters in sections.items():
@@ -130,6 +130,8 @@ def _parameters(mapping: Mapping, prefix: str, path: Path) -> Iterator[tuple[str
 def _value(node: Any) -> Any:
     if isinstance(node, list):
         return [_value(item) for item in node]
+    if isinstance(node, Mapping):
+        raise YamlError("a mapping stands in a list")
     return _scalar(node.text, node.plain)
 
 
