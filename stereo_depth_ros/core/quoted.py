@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from stereo_depth_ros.core.in_words import kind_in_words
+
 __all__ = ["quoted"]
 
 _LONGEST = 80  # characters
@@ -17,4 +19,4 @@ def quoted(value: object) -> str:
     if isinstance(value, int) and value.bit_length() > _LONGEST_BITS:
         return f"a number of {value.bit_length()} bits"
     shown = repr(value)
-    return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]}... ({type(value).__name__})"
+    return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]}... ({kind_in_words(type(value))})"
