@@ -25,7 +25,7 @@ __all__ = ["BagInfo", "ImageInfo", "TopicSummary", "inspect_bag"]
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """Message type, number of messages, and their mean rate over the length of the bag, Hz (0 for fewer than two)."""
+    """Message type as stored, number of messages, mean rate over the length of the bag, Hz (0 for fewer than two)."""
 
     msgtype: str
     count: int
@@ -195,9 +195,10 @@ class _Inspection:
         return exact_pairs, near_pairs
 
     def _arrivals(self, stereo: StereoTopics) -> list[Arrival]:
-        """Side and header stamp of every image, in the order of the bag."""
+        """Side and header stamp of every image, in the order of the bag; what is lost of the camera infos shows too."""
         images, stamped = CameraImages(self._reader, stereo), StampedMessages()
-        messages = stamped.read(self._reader.messages(images.names))
+        wanted = {topic for topic in (*images.names, stereo.left_info, stereo.right_info) if topic is not None}
+        messages = stamped.read(message for message in self._reader.messages(wanted) if message.topic in images.names)
         arrivals = [(side, stamp_ns) for stamp_ns, message in messages for side in images.sides(message.topic)]
         if stamped.error:
             self.problems.append(stamped.error)
@@ -254,4 +255,7 @@ def _summaries(reader: BagReader, duration_s: float) -> dict[str, TopicSummary]:
     def rate_hz(count: int) -> float:
         return (count - 1) / duration_s if count > 1 and duration_s > 0 else 0.0
 
-    return {name: TopicSummary(info.msgtype, info.count, rate_hz(info.count)) for name, info in reader.topics.items()}
+    return {
+        name: TopicSummary(info.stored or info.msgtype, info.count, rate_hz(info.count))
+        for name, info in reader.topics.items()
+    }

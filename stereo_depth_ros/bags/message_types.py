@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
+from stereo_depth_ros.bags.losses import cause_text
 from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64, U8
@@ -21,7 +23,7 @@ class RosbagsTypes:
     """:class:`MessageTypes` without ROS: the dataclasses of rosbags for ROS 2 Jazzy, and their CDR bytes."""
 
     def __init__(self) -> None:
-        self.typestore = get_typestore(Stores.ROS2_JAZZY)
+        self.typestore = _typestore()
         types = self.typestore.types
         self.Time: Any = types["builtin_interfaces/msg/Time"]
         self.Header: Any = types["std_msgs/msg/Header"]
@@ -65,9 +67,15 @@ class RosbagsTypes:
             )
         try:
             return self.typestore.deserialize_cdr(data, typename)
-        except SerdeError as error:
+        except Exception as error:  # those of rosbags at hostile bytes have no common base class
             raise MessageError(
-                f"{len(data)} bytes are not a {typename} ({str(error).rstrip('.')})",
+                f"{len(data)} bytes are not a {typename} ({cause_text(error)})",
                 value=len(data),
                 remedy="check the type of the topic, or record it again",
             ) from error
+
+
+@cache
+def _typestore() -> Typestore:
+    """One for all: it generates code for each type that it reads or writes."""
+    return get_typestore(Stores.ROS2_JAZZY)

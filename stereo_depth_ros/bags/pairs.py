@@ -194,7 +194,6 @@ class BagPairs:
         unpaired_left, unpaired_right: images without a partner; final when :meth:`pairs` is exhausted.
         losses: why most images are in no pair, and what was left out, a sentence each; final as those.
         unset: the error of stamps that are not set, where they are why there is one pair at most; final as those.
-        warning: one sentence about a bag that is cut; empty where it is complete.
 
     Raises:
         BagError, TopicError: no bag, no stereo pair in it, or no camera infos.
@@ -218,7 +217,11 @@ class BagPairs:
         self.unpaired_left = self.unpaired_right = 0
         self.losses: tuple[str, ...] = ()
         self.unset: TopicError | None = None
-        self.warning = self._reader.warning
+
+    @property
+    def warning(self) -> str:
+        """What of the bag could not be read so far; empty where nothing is missing, final as :attr:`losses`."""
+        return self._reader.warning
 
     def pairs(self) -> Iterator[SerializedPair]:
         """The pairs in the order of their stamps.
@@ -335,7 +338,8 @@ class BagPairs:
         start_ns = self._reader.start_ns + round(1e9 * self._selection.start_seconds)
         duration_ns = round(1e9 * self._selection.duration_seconds)
         wanted = [*self._images.names, *self._info_topics]
-        return self._reader.messages(wanted, start_ns, start_ns + duration_ns if duration_ns else None)
+        first_ns = start_ns if self._selection.start_seconds else None
+        return self._reader.messages(wanted, first_ns, start_ns + duration_ns if duration_ns else None)
 
 
 class _CalibratedPairs:

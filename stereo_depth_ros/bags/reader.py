@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads bags without ROS: MCAP (also cut), rosbag2 folders, bare sqlite3 files, ROS 1 bags."""
+"""Reads bags without ROS: MCAP, rosbag2 folders, bare sqlite3 files, ROS 1 bags, also cut and damaged ones."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from stereo_depth_ros.bags.conversion import check_convertible, message_type, stored_type, to_cdr
+from stereo_depth_ros.bags.losses import Losses, cause_text
 from stereo_depth_ros.bags.message_types import RosbagsTypes
-from stereo_depth_ros.bags.recovery import RecoveredMcap
-from stereo_depth_ros.bags.sources import open_sources
+from stereo_depth_ros.bags.sources import BagSource, open_sources
 from stereo_depth_ros.core.errors import BagError, MessageError
 
 __all__ = ["BagMessage", "BagReader", "TopicInfo"]
@@ -22,10 +23,17 @@ __all__ = ["BagMessage", "BagReader", "TopicInfo"]
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """Message type (``package/msg/Name``, empty where the bag lacks it) and number of messages of a topic."""
+    """A topic of a bag.
+
+    Attributes:
+        msgtype: message type as it is read, ``package/msg/Name``; empty where the bag lacks it.
+        count: number of messages, those that are lost included where an index tells.
+        stored: message type as it is stored, with its encoding where that is none of ROS; empty where it is the same.
+    """
 
     msgtype: str
     count: int
+    stored: str = ""
 
 
 @dataclass(frozen=True)
@@ -40,6 +48,9 @@ class BagMessage:
 
 class BagReader:
     """An open bag: topics, time span and messages.
+
+    Messages that are compressed each, those of ROS 1, and Foxglove's images and calibrations are read as CDR bytes of
+    sensor_msgs. What is damaged is left out and counted: a chunk, a message, a page, a file of several.
 
     Args:
         path: an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, or a rosbag2 folder, with or without ``metadata.yaml``.
@@ -57,13 +68,14 @@ class BagReader:
         self.path = path
         self._types = RosbagsTypes()
         with ExitStack() as stack:
-            self._sources = open_sources(path, self._types, stack)
+            self._sources, self._notes = open_sources(path, stack)
             self.topics = self._merge_topics()
-            self.truncated = any(isinstance(source, RecoveredMcap) and source.cut for source in self._sources)
-            filled = [source for source in self._sources if any(count for _, count in source.topics.values())]
+            self.truncated = any(source.cut for source in self._sources)
+            filled = [source for source in self._sources if any(count for _, count in source.counts)]
             if not filled:
+                lost = self._lost
                 raise BagError(
-                    f"holds no messages{' before the cut' * self.truncated}",
+                    f"holds no messages{' before the cut' * self.truncated}{f', {lost}' * bool(lost)}",
                     subject=str(path),
                     remedy="record it again",
                 )
@@ -73,9 +85,15 @@ class BagReader:
 
     @property
     def warning(self) -> str:
-        """One sentence about a bag that is cut; empty where it is complete."""
-        count = sum(info.count for info in self.topics.values())
-        return f"{self.path} is cut in the middle: the {count} messages before the cut are read" * self.truncated
+        """What of the bag could not be read so far: it is cut, or damaged; empty where nothing is missing."""
+        parts = []
+        if self.truncated:
+            count = sum(info.count for info in self.topics.values())
+            parts.append(f"is cut in the middle: the {count} messages before the cut are read")
+        if lost := self._lost:
+            parts.append(f"is damaged: {lost}")
+        parts += self._notes
+        return f"{self.path} {'; '.join(parts)}" if parts else ""
 
     @property
     def msgtypes(self) -> dict[str, str]:
@@ -103,10 +121,11 @@ class BagReader:
                 limit=list(self.topics),
                 remedy=f"choose among {', '.join(self.topics)}",
             )
-        start = self.start_ns if start_ns is None else start_ns
-        end = self.end_ns if end_ns is None else end_ns
-        streams = [source.messages(wanted, start, end) for source in self._sources]
-        return self._read(heapq.merge(*streams, key=lambda item: item[1]))
+        # without limits also those whose log times are damaged
+        start = -(2**64) if start_ns is None else start_ns
+        end = 2**64 if end_ns is None else end_ns
+        streams = [self._read(source, wanted, start, end) for source in self._sources]
+        return self._found(wanted, heapq.merge(*streams, key=lambda message: message.log_time_ns))
 
     def deserialize(self, message: BagMessage) -> Any:
         """The message as a rosbags object.
@@ -131,25 +150,45 @@ class BagReader:
     ) -> None:
         self.close()
 
-    def _read(self, items: Iterator[tuple[str, int, bytes]]) -> Iterator[BagMessage]:
+    @property
+    def _lost(self) -> str:
+        return Losses.sentence(source.losses for source in self._sources)
+
+    def _read(self, source: BagSource, topics: set[str], start_ns: int, end_ns: int) -> Iterator[BagMessage]:
+        """The messages of a file, converted; one that is damaged is left out and counted."""
+        for channel, _ in source.counts:
+            if channel.topic in topics:
+                check_convertible(self._types, channel)
+        for message in source.messages(topics, start_ns, end_ns):
+            channel = message.channel
+            try:
+                cdr = to_cdr(self._types, message, source.budget)
+            except Exception as error:  # those of the libraries that parse it have no common base class
+                source.losses.add_messages((source.path, *message.place), channel.topic, 1, cause_text(error))
+            else:
+                yield BagMessage(channel.topic, message_type(channel), message.log_time_ns, cdr)
+
+    def _found(self, topics: set[str], messages: Iterator[BagMessage]) -> Iterator[BagMessage]:
+        """The messages; an error where damage has left none."""
+        message = None
         try:
-            for topic, log_time_ns, data in items:
-                yield BagMessage(topic, self.topics[topic].msgtype, log_time_ns, data)
-        except BagError:
-            raise
-        except Exception as error:  # those of rosbags and of what it reads with have no common base class
-            raise BagError(f"is damaged ({error})", subject=str(self.path), remedy="record or copy it again") from error
+            for message in messages:
+                yield message
+        except BagError as error:
+            raise error.about(self.path) from error
+        except Exception as error:  # those of the libraries that parse it have no common base class
+            problem = f"is damaged ({cause_text(error)})"
+            raise BagError(problem, subject=str(self.path), remedy="record or copy it again") from error
+        if message is None and any(source.losses.may_hold(topics) for source in self._sources):
+            raise BagError(f"is damaged: {self._lost}", subject=str(self.path), remedy="record or copy it again")
 
     def _merge_topics(self) -> dict[str, TopicInfo]:
         topics: dict[str, TopicInfo] = {}
         for source in self._sources:
-            for name, (msgtype, count) in source.topics.items():
-                known = topics.get(name, TopicInfo("", 0))
-                topics[name] = TopicInfo(_full_type_name(msgtype) or known.msgtype, count + known.count)
+            for channel, count in source.counts:
+                known = topics.get(channel.topic, TopicInfo("", 0))
+                msgtype, stored = message_type(channel), stored_type(channel)
+                topics[channel.topic] = TopicInfo(
+                    msgtype or known.msgtype, count + known.count, stored if stored != msgtype else known.stored
+                )
         return dict(sorted(topics.items()))
-
-
-def _full_type_name(msgtype: str) -> str:
-    """``package/msg/Name`` for the ``package/Name`` of the first ROS 2 bags."""
-    package, _, name = msgtype.partition("/")
-    return f"{package}/msg/{name}" if name and "/" not in name else msgtype

@@ -45,7 +45,7 @@ def doctor(
     context: typer.Context,
     bag: Annotated[
         Path | None,
-        typer.Argument(metavar="BAG", help="Examine this bag: an MCAP or .db3 file, or a rosbag2 folder."),
+        typer.Argument(metavar="BAG", help="Examine this bag: an .mcap, .db3 or ROS 1 .bag file, or a rosbag2 folder."),
     ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Examine the running graph in the current ROS_DOMAIN_ID.")

@@ -29,7 +29,9 @@ __all__ = [
     "new_app",
 ]
 
-Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Read this bag: an MCAP or .db3 file, or a rosbag2 folder.")]
+Bag = Annotated[
+    Path, typer.Argument(metavar="BAG", help="Read this bag: an .mcap, .db3 or ROS 1 .bag file, or a rosbag2 folder.")
+]
 BagOutput = Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="Write the outputs to this bag.")]
 Json = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - prints it instead of tables.")

@@ -44,9 +44,6 @@ def survey_bag(selection: BagSelection, progress: Callable[[int, int], None] = l
         survey = Survey(str(chosen.path), topics, RosbagsTypes().deserialize)
         if note:
             survey.findings.append(Finding("topics", Level.WARNING, note, "the preferred ones fit", CHOICE_REMEDY))
-        if reader.warning:
-            warning = Finding("bag", Level.WARNING, reader.warning, "whole", "record again, or repair it")
-            survey.findings.append(warning)
         images = _read(reader, topics, cameras, survey, progress)
         names = (topics.left_image, topics.right_image)
         for times in _spread(_paired(*images)):
@@ -56,6 +53,9 @@ def survey_bag(selection: BagSelection, progress: Callable[[int, int], None] = l
                 survey.findings.append(Finding.refused(f"images of {names[0]}", error))
                 break
             survey.add_pair(left, right)
+        if reader.warning:  # known when everything is read
+            warning = Finding("bag", Level.WARNING, reader.warning, "whole", "record again, or repair it")
+            survey.findings.insert(0, warning)
         return survey.setup()
 
 

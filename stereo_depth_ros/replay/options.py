@@ -27,7 +27,7 @@ class ReplayOptions:
         ConfigError: a wrong type, a value out of range, or no bag.
     """
 
-    bag: str = _option("", "Bag to play: .mcap, .db3, a rosbag2 folder.")
+    bag: str = _option("", "Bag to play: .mcap, .db3, .bag of ROS 1, a rosbag2 folder.")
     output: str = _option("", "MCAP bag to record the outputs into; empty records nothing.")
     overwrite: bool = _option(False, "Replace the output where it exists.")
     rate: float = _option(
