@@ -18,8 +18,6 @@ from stereo_depth_ros.bags.metadata import METADATA, listed_files
 from stereo_depth_ros.bags.ros1_file import Ros1File
 from stereo_depth_ros.bags.sqlite_file import SqliteFile
 from stereo_depth_ros.core.errors import BagError
-from stereo_depth_ros.core.safe_yaml import load_yaml
-from stereo_depth_ros.core.text_files import read_text
 
 __all__ = ["BagSource", "bag_files", "is_bag", "open_sources"]
 
