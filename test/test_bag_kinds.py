@@ -159,7 +159,7 @@ def test_foxglove_calibration_of_one_camera(encoding: str) -> None:
         ("RawImage", "protobuf", b"\xff" * 11, "a number of more than 10 bytes"),
         ("RawImage", "protobuf", b"\x0b", "field 1 has the wire type 3"),
         ("RawImage", "json", b"[1, 2]", "not a JSON object"),
-        ("RawImage", "json", b"[" * 100_000, "recursion"),
+        ("RawImage", "json", b"[" * 100_000, "nested too deep"),
         ("RawImage", "json", b'{"data": "a"}', "base64"),
         ("RawImage", "json", b'{"width": "640"}', 'width is "640"'),
         ("RawImage", "json", b'{"timestamp": {"sec": 99999999999}}', "the time 99999999999 s, 0 ns does not fit"),

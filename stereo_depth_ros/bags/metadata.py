@@ -37,9 +37,12 @@ def listed_files(folder: Path) -> tuple[list[Path], str]:
         names = information["relative_file_paths"]
         if not isinstance(names, list) or not all(isinstance(name, str) and Path(name).name for name in names):
             raise ValueError("relative_file_paths is not a list of names")
-    except (BagError, KeyError, ValueError) as error:
-        why = f"it has no {error}" if isinstance(error, KeyError) else cause_text(error)
-        return [], f"has a {METADATA} that is ignored ({why}): the bag files of the folder are read"
+    except KeyError as error:
+        return [], _ignored(f"it has no {error}")
+    except BagError as error:
+        return [], _ignored(f"it {error.problem}")
+    except ValueError as error:
+        return [], _ignored(cause_text(error))
     method = information.get("compression_format")
     if isinstance(method, str) and method not in ("", "zstd"):
         raise BagError(
@@ -50,6 +53,10 @@ def listed_files(folder: Path) -> tuple[list[Path], str]:
             remedy="convert it with `ros2 bag convert`",
         )
     return [folder / Path(name).name for name in names], ""
+
+
+def _ignored(why: str) -> str:
+    return f"has a {METADATA} that is ignored ({why}): the bag files of the folder are read"
 
 
 def _information(path: Path) -> dict[str, Any]:
