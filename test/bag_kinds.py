@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import base64
 import json
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from mcap.writer import Writer
 from rosbags import rosbag1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -20,33 +20,13 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 
 TYPES = RosbagsTypes()
-_FIELD = descriptor_pb2.FieldDescriptorProto
-# name, number, type and label of the fields, as the schemas of Foxglove give them
-_SCHEMAS: dict[str, list[tuple[str, int, int, bool]]] = {
-    "RawImage": [
-        ("frame_id", 7, _FIELD.TYPE_STRING, False),
-        ("width", 2, _FIELD.TYPE_FIXED32, False),
-        ("height", 3, _FIELD.TYPE_FIXED32, False),
-        ("encoding", 4, _FIELD.TYPE_STRING, False),
-        ("step", 5, _FIELD.TYPE_FIXED32, False),
-        ("data", 6, _FIELD.TYPE_BYTES, False),
-    ],
-    "CompressedImage": [
-        ("frame_id", 4, _FIELD.TYPE_STRING, False),
-        ("data", 2, _FIELD.TYPE_BYTES, False),
-        ("format", 3, _FIELD.TYPE_STRING, False),
-        ("message_id", 100, _FIELD.TYPE_STRING, False),  # of newer versions
-    ],
-    "CameraCalibration": [
-        ("frame_id", 9, _FIELD.TYPE_STRING, False),
-        ("width", 2, _FIELD.TYPE_FIXED32, False),
-        ("height", 3, _FIELD.TYPE_FIXED32, False),
-        ("distortion_model", 4, _FIELD.TYPE_STRING, False),
-        ("D", 5, _FIELD.TYPE_DOUBLE, True),
-        ("K", 6, _FIELD.TYPE_DOUBLE, True),
-        ("R", 7, _FIELD.TYPE_DOUBLE, True),
-        ("P", 8, _FIELD.TYPE_DOUBLE, True),
-    ],
+# numbers of the fields in the Protocol Buffers schemas of Foxglove
+_NUMBERS = {
+    "RawImage": {"width": 2, "height": 3, "encoding": 4, "step": 5, "data": 6, "frame_id": 7},
+    "CompressedImage": {"data": 2, "format": 3, "frame_id": 4, "message_id": 100},
+    "CameraCalibration": {
+        **{"width": 2, "height": 3, "distortion_model": 4, "D": 5, "K": 6, "R": 7, "P": 8, "frame_id": 9},
+    },
 }
 _NAMES = {"Image": "RawImage", "CompressedImage": "CompressedImage", "CameraInfo": "CameraCalibration"}
 
@@ -79,29 +59,25 @@ def foxglove_bytes(name: str, values: dict[str, Any], encoding: str) -> bytes:
     if encoding == "json":
         values = {key: base64.b64encode(value).decode() if key == "data" else value for key, value in values.items()}
         return json.dumps({"timestamp": {"sec": sec, "nsec": nsec}, **values}).encode()
-    message = _PROTOBUF[name](**values)
-    message.timestamp.seconds, message.timestamp.nanos = sec, nsec
-    return bytes(message.SerializeToString())
+    time = b"".join(_varint(key) + _varint(value % 2**64) for key, value in ((1 << 3, sec), (2 << 3, nsec)) if value)
+    return _sized(1, time) + b"".join(_field(_NUMBERS[name][key], value) for key, value in values.items() if value)
 
 
-def _protobuf_classes() -> dict[str, Any]:
-    """The classes of Google's library for the schemas."""
-    file = descriptor_pb2.FileDescriptorProto(name="foxglove_test.proto", package="foxglove", syntax="proto3")
-    file.dependency.append("google/protobuf/timestamp.proto")
-    for name, fields in _SCHEMAS.items():
-        message = file.message_type.add(name=name)
-        message.field.add(
-            name="timestamp", number=1, type=_FIELD.TYPE_MESSAGE, type_name=".google.protobuf.Timestamp", label=1
-        )
-        for field, number, kind, repeated in fields:
-            message.field.add(name=field, number=number, type=kind, label=3 if repeated else 1)
-    pool = descriptor_pool.DescriptorPool()
-    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
-    pool.Add(file)
-    return {name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"foxglove.{name}")) for name in _SCHEMAS}
+def _field(number: int, value: int | str | bytes | list[float]) -> bytes:
+    """A field of Protocol Buffers: fixed32, string, bytes or packed doubles."""
+    if isinstance(value, int):
+        return _varint(number << 3 | 5) + struct.pack("<I", value)
+    if isinstance(value, list):
+        return _sized(number, struct.pack(f"<{len(value)}d", *value))
+    return _sized(number, value.encode() if isinstance(value, str) else value)
 
 
-_PROTOBUF = _protobuf_classes()
+def _sized(number: int, data: bytes) -> bytes:
+    return _varint(number << 3 | 2) + _varint(len(data)) + data
+
+
+def _varint(value: int) -> bytes:
+    return bytes((value & 0x7F | 0x80,)) + _varint(value >> 7) if value >= 0x80 else bytes((value,))
 
 
 def _rosbag2(mode: CompressionMode, plugin: StoragePlugin, metadata: bool, bare: bool) -> Callable[..., Path]:

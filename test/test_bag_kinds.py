@@ -133,6 +133,27 @@ def converted(name: str, encoding: str, data: bytes) -> Any:
     return TYPES.deserialize(to_cdr(TYPES, message, InflationBudget(0)), f"sensor_msgs/msg/{kind}")
 
 
+def test_bytes_of_the_library_of_protocol_buffers() -> None:
+    """Messages that Google's library serialized."""
+    stamp = "0a0b0880e2cfaa0610959aef3a"
+    data = bytes.fromhex(stamp + "15030000001d0200000022056d6f6e6f382d04000000320800010203040506073a046c656674")
+    raw = converted("RawImage", "protobuf", data)
+    assert foxglove_values(raw) == {
+        **{"stamp_ns": 1700000000123456789, "frame_id": "left", "width": 3, "height": 2, "encoding": "mono8"},
+        **{"step": 4, "data": bytes(range(8))},
+    }
+    data = bytes.fromhex("0a020805120489504e471a03706e6722016ca20603616263")  # with a field of newer versions
+    packed = converted("CompressedImage", "protobuf", data)
+    assert foxglove_values(packed) == {"stamp_ns": 5 * 10**9, "frame_id": "l", "format": "png", "data": b"\x89PNG"}
+    d, k = "2a10333333333333d3bf000000000000c03f", "31000000000000f03f" * 9  # packed, and one by one
+    data = bytes.fromhex(f"{stamp}15800200001de00100002209706c756d625f626f62{d}{k}4a057269676874")
+    info = converted("CameraCalibration", "protobuf", data)
+    assert foxglove_values(info) == {
+        **{"stamp_ns": 1700000000123456789, "frame_id": "right", "width": 640, "height": 480},
+        **{"distortion_model": "plumb_bob", "D": [-0.3, 0.125], "K": [1.0] * 9, "R": [0.0] * 9, "P": [0.0] * 12},
+    }
+
+
 @pytest.mark.parametrize("encoding", ["protobuf", "json"])
 def test_foxglove_calibration_of_one_camera(encoding: str) -> None:
     """R is empty for one camera; kannala_brandt is the equidistant model of ROS; times before 1970 are negative."""
