@@ -29,12 +29,13 @@ from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
 from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.cdr import with_stamp
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.offline.engine import process_bag
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticFrame, SyntheticSequence
 
-MADE = SyntheticSequence(2, 320, 240)
+TYPES, MADE = RosbagsTypes(), SyntheticSequence(2, 320, 240)
 RAW, RECTIFIED = (f"/zed/left/image_{kind}_color and /zed/right/image_{kind}_color" for kind in ("raw", "rect"))
 
 
@@ -142,3 +143,31 @@ def test_topics_without_messages_are_not_preferred(tmp_path: Path) -> None:
         assert pairs.topics.left_image == "/zed/left/image_rect_color"
     with BagReader(tmp_path / "folder") as reader:
         assert bag_topics(reader, left="/zed/left/image_raw").right_image == "/zed/right/image_raw"
+
+
+def test_a_damaged_image_and_pairs_without_texture_are_passed_over(tmp_path: Path) -> None:
+    """A camera that starts dark, and a first image that is cut, say nothing about the topics."""
+    path = zed_bag(tmp_path / "zed.mcap", "rectified")
+    dark, cut = tmp_path / "dark.mcap", tmp_path / "cut.mcap"
+    with BagReader(path) as reader, BagWriter(dark) as of_dark, BagWriter(cut) as of_cut:
+        messages = list(reader.messages())
+        start_ns = messages[0].log_time_ns
+        for number in range(12):  # of 12 pairs without texture, ten are examined; the next ones at the 20th and 30th
+            for message in messages[: len(messages) // 2]:
+                data = message.data
+                if "image" in message.topic:
+                    image = reader.deserialize(message)
+                    data = TYPES.serialize(replace(image, data=np.zeros_like(image.data)))
+                stamp_ns = start_ns + number * 10**7
+                of_dark.write_raw(message.topic, message.msgtype, with_stamp(data, stamp_ns), stamp_ns)
+        for number in range(12, 31):
+            for message in messages[: len(messages) // 2]:
+                stamp_ns = start_ns + number * 10**7
+                of_dark.write_raw(message.topic, message.msgtype, with_stamp(message.data, stamp_ns), stamp_ns)
+        for number, message in enumerate(messages):
+            raw = "image_raw" in message.topic
+            data = message.data[:-7] if raw and number < len(messages) // 2 else message.data
+            of_cut.write_raw(message.topic, message.msgtype, data, message.log_time_ns)
+    for bag in (dark, cut):
+        left, note = used(bag)
+        assert left == "/zed/left/image_rect_color" and "rows of left and right differ by" in note
