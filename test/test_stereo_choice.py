@@ -32,6 +32,7 @@ from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import with_stamp
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.offline.engine import process_bag
+from stereo_depth_ros.offline.pairs import read_pairs
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticFrame, SyntheticSequence
 
@@ -112,6 +113,8 @@ def test_rectified_images_that_fit_are_used_instead_of_raw_ones_that_do_not(
     assert report.score is not None and report.score.valid_fraction > 0.8
     code, out, err = command_line("info")(path)
     assert code == 0 and note in err and "/zed/left/image_rect_color" in out
+    with pytest.warns(UserWarning, match=re.escape(note)):
+        next(read_pairs(path))
     setup = survey_bag(BagSelection(path))
     assert setup.left.image_topic == left and [finding.value for finding in setup.findings] == [note]
 
