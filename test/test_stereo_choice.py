@@ -88,9 +88,8 @@ def used(path: Path) -> tuple[str, str]:
 def test_raw_images_have_the_camera_infos_of_raw_ones(tmp_path: Path) -> None:
     path = zed_bag(tmp_path / "zed.mcap", "rectified", raw_info="raw")
     assert used(path) == ("/zed/left/image_raw_color", "")
-    report = process_bag(BagSelection(path), tmp_path / "out.mcap", pipeline_config(PARAMETERS))
-    assert report.warnings == ()
-    assert report.score is not None and report.score.valid_fraction > 0.8
+    with BagPairs(BagSelection(path), PairingConfig()) as pairs:
+        assert pairs.topics.right_info == "/zed/right/camera_info_raw"
 
 
 @pytest.mark.parametrize(
@@ -108,8 +107,9 @@ def test_rectified_images_that_fit_are_used_instead_of_raw_ones_that_do_not(
     assert left == "/zed/left/image_rect_color"
     assert note.startswith(f"{RECTIFIED} are used, since {RAW} do not fit their camera infos: ")
     assert re.search(why, note)
-    report = process_bag(BagSelection(path), output, pipeline_config(PARAMETERS))
-    assert report.warnings == (note,)
+    report = process_bag(BagSelection(path, duration_seconds=0.05), output, pipeline_config(PARAMETERS))
+    (warning,) = report.warnings  # of the first pair alone
+    assert warning.partition(":")[0] == note.partition(":")[0]
     assert report.score is not None and report.score.valid_fraction > 0.8
     code, out, err = command_line("info")(path)
     assert code == 0 and note in err and "/zed/left/image_rect_color" in out
