@@ -8,7 +8,6 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stereo_depth_ros.bags.pairs import read_pairs
     from stereo_depth_ros.config import MatchingConfig, PipelineConfig
     from stereo_depth_ros.core.camera import CameraModel
     from stereo_depth_ros.core.errors import (
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from stereo_depth_ros.core.types import Frame, MatchResult, Reason, StereoPair
     from stereo_depth_ros.core.version import __version__
     from stereo_depth_ros.matching import create_matcher
+    from stereo_depth_ros.offline.pairs import read_pairs
     from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
 
 __all__ = [
@@ -56,7 +56,6 @@ __all__ = [
 ]
 
 _NAMES = {
-    "bags.pairs": ("read_pairs",),
     "config": ("MatchingConfig", "PipelineConfig"),
     "core.camera": ("CameraModel",),
     "core.errors": (
@@ -67,6 +66,7 @@ _NAMES = {
     "core.types": ("Frame", "MatchResult", "Reason", "StereoPair"),
     "core.version": ("__version__",),
     "matching": ("create_matcher",),
+    "offline.pairs": ("read_pairs",),
     "pipeline": ("StereoPipeline", "StereoResult"),
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}

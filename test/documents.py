@@ -18,12 +18,12 @@ from evaluation_scenes import HEIGHT, WIDTH, write_scene
 from rendered_boards import SIZE, KnownRig, chessboard_points, chessboard_print, poses
 from test_datasets import make_euroc, make_kitti
 
-from stereo_depth_ros.bags.pairs import read_pairs
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.calibration.projection import project
 from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.offline.pairs import read_pairs
 
 __all__ = ["BLOCKS", "DOCUMENTS", "ROOT", "Block", "Call", "make_inputs", "output_after", "read", "setup_value"]
 

@@ -30,7 +30,7 @@ from mutations import mutated
 
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.message_types import RosbagsTypes
-from stereo_depth_ros.bags.pairs import read_pairs
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.config import CONFIGS, PipelineConfig, parameter_infos
@@ -51,6 +51,7 @@ from stereo_depth_ros.messages.disparity import matched_disparity, published_tri
 from stereo_depth_ros.messages.encodings import ENCODINGS
 from stereo_depth_ros.messages.image import decode, decode_pair, image_message, image_size
 from stereo_depth_ros.messages.types import stamp_ns
+from stereo_depth_ros.offline.pairs import read_pairs
 from stereo_depth_ros.pipeline import StereoPipeline
 from stereo_depth_ros.synthetic.bag import write_synthetic_bag
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
@@ -336,7 +337,7 @@ def _rewrite(path: Path, target: Path) -> None:
 def _run_bag(case: bytes, folder: Path) -> None:
     path = folder / "bag.mcap"
     path.write_bytes(case)
-    for use in (inspect_bag, lambda p: list(read_pairs(p)), lambda p: diagnose(survey_bag(p))):
+    for use in (inspect_bag, lambda p: list(read_pairs(p)), lambda p: diagnose(survey_bag(BagSelection(p)))):
         with contextlib.suppress(StereoDepthError):
             use(path)
 

@@ -15,7 +15,7 @@ from stereo_bags import HEIGHT, PARAMETERS, WIDTH, messages_of, sequence
 from test_message_types import RclpyTypes
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
-from stereo_depth_ros.bags.pairs import BagSelection, read_pairs
+from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
@@ -24,6 +24,7 @@ from stereo_depth_ros.diagnosis.finding import Level
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import decode, decode_pair, image_message
 from stereo_depth_ros.offline.engine import process_bag
+from stereo_depth_ros.offline.pairs import read_pairs
 
 TOPICS = ("left", "right")
 RECTIFIED = ("left/image_rect", "right/image_rect")

@@ -24,7 +24,7 @@ from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
-TYPES, MADE = RosbagsTypes(), SyntheticSequence(3, 320, 240)
+TYPES, MADE = RosbagsTypes(), SyntheticSequence(2, 320, 240)
 OPTIONS = tuple(f"--param={name}:={value}" for name, value in PARAMETERS.items())
 COMMANDS = ("info", "doctor", "process", "replay")
 

@@ -29,6 +29,7 @@ from stereo_depth_ros.messages.image import compressed_message, decode, image_me
 from stereo_depth_ros.messages.side_by_side import split_message
 from stereo_depth_ros.messages.types import make_header
 from stereo_depth_ros.offline.engine import process_bag
+from stereo_depth_ros.offline.pairs import read_pairs
 
 TYPES, FRAMES = RosbagsTypes(), 2
 RNG = np.random.default_rng(4)
@@ -165,14 +166,16 @@ def test_depth_has_the_bytes_of_two_topics(plain: Path, tmp_path: Path, packed: 
 
 def test_pairs_are_raw_images_with_the_frames_of_their_cameras(plain: Path, tmp_path: Path) -> None:
     joint = joint_bag(plain, tmp_path / "joint.mcap", packed=True)
+    for (pair, _), (expected, _) in zip(read_pairs(joint, side_by_side=True), read_pairs(plain), strict=True):
+        assert pair == expected
     with (
         BagPairs(BagSelection(joint, side_by_side=True), PairingConfig()) as found,
-        BagPairs(BagSelection(plain), PairingConfig()) as expected,
+        BagPairs(BagSelection(plain), PairingConfig()) as of_plain,
     ):
         assert found.topics.image_type == "sensor_msgs/msg/Image"
-        for pair, plain_pair in zip(found.pairs(), expected.pairs(), strict=True):
+        for pair, plain_pair in zip(found.pairs(), of_plain.pairs(), strict=True):
             images = pair.images(TYPES, found.topics.image_type)
-            assert images == plain_pair.images(TYPES, expected.topics.image_type)
+            assert images == plain_pair.images(TYPES, of_plain.topics.image_type)
             rig = pair.rig(TYPES)
             assert (images.left.frame_id, images.right.frame_id) == (rig.left.frame_id, rig.right.frame_id)
 

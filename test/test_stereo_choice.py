@@ -29,12 +29,14 @@ from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.diagnosis.stereo_choice import choose_topics
 from stereo_depth_ros.messages.camera_info import camera_info_message
+from stereo_depth_ros.messages.cdr import with_stamp
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.offline.engine import process_bag
+from stereo_depth_ros.offline.pairs import read_pairs
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticFrame, SyntheticSequence
 
-MADE = SyntheticSequence(2, 320, 240)
+TYPES, MADE = RosbagsTypes(), SyntheticSequence(2, 320, 240)
 RAW, RECTIFIED = (f"/zed/left/image_{kind}_color and /zed/right/image_{kind}_color" for kind in ("raw", "rect"))
 
 
@@ -86,9 +88,8 @@ def used(path: Path) -> tuple[str, str]:
 def test_raw_images_have_the_camera_infos_of_raw_ones(tmp_path: Path) -> None:
     path = zed_bag(tmp_path / "zed.mcap", "rectified", raw_info="raw")
     assert used(path) == ("/zed/left/image_raw_color", "")
-    report = process_bag(BagSelection(path), tmp_path / "out.mcap", pipeline_config(PARAMETERS))
-    assert report.warnings == ()
-    assert report.score is not None and report.score.valid_fraction > 0.8
+    with BagPairs(BagSelection(path), PairingConfig()) as pairs:
+        assert pairs.topics.right_info == "/zed/right/camera_info_raw"
 
 
 @pytest.mark.parametrize(
@@ -106,11 +107,14 @@ def test_rectified_images_that_fit_are_used_instead_of_raw_ones_that_do_not(
     assert left == "/zed/left/image_rect_color"
     assert note.startswith(f"{RECTIFIED} are used, since {RAW} do not fit their camera infos: ")
     assert re.search(why, note)
-    report = process_bag(BagSelection(path), output, pipeline_config(PARAMETERS))
-    assert report.warnings == (note,)
+    report = process_bag(BagSelection(path, duration_seconds=0.05), output, pipeline_config(PARAMETERS))
+    (warning,) = report.warnings  # of the first pair alone
+    assert warning.partition(":")[0] == note.partition(":")[0]
     assert report.score is not None and report.score.valid_fraction > 0.8
     code, out, err = command_line("info")(path)
     assert code == 0 and note in err and "/zed/left/image_rect_color" in out
+    with pytest.warns(UserWarning, match=re.escape(note)):
+        next(read_pairs(path))
     setup = survey_bag(BagSelection(path))
     assert setup.left.image_topic == left and [finding.value for finding in setup.findings] == [note]
 
@@ -142,3 +146,31 @@ def test_topics_without_messages_are_not_preferred(tmp_path: Path) -> None:
         assert pairs.topics.left_image == "/zed/left/image_rect_color"
     with BagReader(tmp_path / "folder") as reader:
         assert bag_topics(reader, left="/zed/left/image_raw").right_image == "/zed/right/image_raw"
+
+
+def test_a_damaged_image_and_pairs_without_texture_are_passed_over(tmp_path: Path) -> None:
+    """A camera that starts dark, and a first image that is cut, say nothing about the topics."""
+    path = zed_bag(tmp_path / "zed.mcap", "rectified")
+    dark, cut = tmp_path / "dark.mcap", tmp_path / "cut.mcap"
+    with BagReader(path) as reader, BagWriter(dark) as of_dark, BagWriter(cut) as of_cut:
+        messages = list(reader.messages())
+        start_ns = messages[0].log_time_ns
+        for number in range(12):  # of 12 pairs without texture, ten are examined; the next ones at the 20th and 30th
+            for message in messages[: len(messages) // 2]:
+                data = message.data
+                if "image" in message.topic:
+                    image = reader.deserialize(message)
+                    data = TYPES.serialize(replace(image, data=np.zeros_like(image.data)))
+                stamp_ns = start_ns + number * 10**7
+                of_dark.write_raw(message.topic, message.msgtype, with_stamp(data, stamp_ns), stamp_ns)
+        for number in range(12, 31):
+            for message in messages[: len(messages) // 2]:
+                stamp_ns = start_ns + number * 10**7
+                of_dark.write_raw(message.topic, message.msgtype, with_stamp(message.data, stamp_ns), stamp_ns)
+        for number, message in enumerate(messages):
+            raw = "image_raw" in message.topic
+            data = message.data[:-7] if raw and number < len(messages) // 2 else message.data
+            of_cut.write_raw(message.topic, message.msgtype, data, message.log_time_ns)
+    for bag in (dark, cut):
+        left, note = used(bag)
+        assert left == "/zed/left/image_rect_color" and "rows of left and right differ by" in note

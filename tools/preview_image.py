@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stereo_depth_ros.bags.pairs import read_pairs
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.types import F32, F64, U8
 from stereo_depth_ros.files.output import write_file
+from stereo_depth_ros.offline.pairs import read_pairs
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
 from stereo_depth_ros.plots.drawing import FAINT, canvas, draw_color_bar, draw_text
 from stereo_depth_ros.plots.preview import color_depth, legend_ticks

@@ -30,7 +30,7 @@ from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
 from stereo_depth_ros.messages.image import decode_pair, image_size
 
-__all__ = ["BagPairs", "BagSelection", "PerCalibration", "SerializedPair", "read_pairs"]
+__all__ = ["BagPairs", "BagSelection", "PerCalibration", "SerializedPair"]
 
 T = TypeVar("T")
 _ARRIVALS = 1000  # of the last images, by which a loss is explained
@@ -396,22 +396,3 @@ class _CalibratedPairs:
 
 def _stamps_ns(pair: tuple[bytes, bytes]) -> tuple[int, int]:
     return cdr_stamp_ns(pair[0]), cdr_stamp_ns(pair[1])
-
-
-def read_pairs(bag: str | Path) -> Iterator[tuple[StereoPair, StereoRig]]:
-    """The pairs of a bag in the order of their stamps, each with its rig; the same rig until a camera info changes.
-
-    Args:
-        bag: MCAP or .db3 file, rosbag2 folder or ROS 1 bag.
-
-    Raises:
-        BagError, TopicError: no readable stereo bag.
-        MessageError, CalibrationError: an image or a camera info that cannot be used.
-    """
-    types = RosbagsTypes()
-    rigs, depth = PerCalibration(types, lambda rig: rig), BitDepth()
-    with BagPairs(BagSelection(Path(bag)), PairingConfig()) as pairs:
-        for pair in pairs.pairs():
-            image_type = pairs.topics.image_type
-            rig = rigs.of(pair, image_type)
-            yield pair.images(types, image_type, rig, depth), rig

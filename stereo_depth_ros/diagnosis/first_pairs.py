@@ -31,6 +31,7 @@ MIN_MATCHES = 40
 AGREE_PX, MIN_AGREEING = 2.0, 0.75  # row errors of neighbors; share of the matches with such a neighbor
 MAJORITY = 2  # of three conclusive pairs
 ALWAYS, EVERY, LOOKS = 10, 10, 40  # the first pairs, then each tenth, up to so many that are examined
+LAST = ALWAYS + EVERY * (LOOKS - ALWAYS)  # no later pair is examined
 REMEDY = (
     "the images are not rectified, left and right are swapped, or the calibration does not belong to them: run "
     "stereo-depth doctor"
@@ -64,6 +65,16 @@ class FirstPairs:
         """No further pair will be examined."""
         return self._decided
 
+    @property
+    def due(self) -> bool:
+        """The next pair will be examined."""
+        number = self._pairs + 1
+        return not self._decided and self._looks < LOOKS and (number <= ALWAYS or number % EVERY == 0)
+
+    def skip(self) -> None:
+        """Count a pair that is not due, so that it need not be decoded."""
+        self._pairs += 1
+
     def look(self, pair: StereoPair, left: U8, right: U8, match: MatchResult | None = None) -> StereoDepthError | None:
         """Examine a pair if its turn has come.
 
@@ -78,7 +89,10 @@ class FirstPairs:
         Raises:
             CameraOrderError: the cameras are swapped; of this pair and of all later ones.
         """
-        if not self._decided and self._is_due():
+        due = self.due
+        self._pairs += 1
+        self._looks += due
+        if due:
             fault = self._fault_of_rig() if self._looks == 1 else None
             if fault is not None:
                 return self._decide(fault)
@@ -91,12 +105,6 @@ class FirstPairs:
     def finish(self) -> StereoDepthError | None:
         """What is wrong by fewer pairs, where no more will come and it is not said yet; else None."""
         return self._faults[-1] if self._faults and not self._good and not self._decided else None
-
-    def _is_due(self) -> bool:
-        self._pairs += 1
-        due = self._looks < LOOKS and (self._pairs <= ALWAYS or self._pairs % EVERY == 0)
-        self._looks += due
-        return due
 
     def _count(self, fault: StereoDepthError | None, conclusive: bool) -> None:
         if fault is not None:

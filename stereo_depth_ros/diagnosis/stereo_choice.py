@@ -16,7 +16,7 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import StereoDepthError, TopicError
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.diagnosis.first_pairs import ALWAYS, FirstPairs
+from stereo_depth_ros.diagnosis.first_pairs import ALWAYS, LAST, FirstPairs
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["CHOICE_REMEDY", "choose_topics"]
@@ -27,9 +27,9 @@ CHOICE_REMEDY = "record the camera infos that belong to the others, or name the 
 def choose_topics(selection: BagSelection, pairing: PairingConfig | None = None) -> tuple[BagSelection, str]:
     """The selection with the names of its image topics, where the bag leaves a choice.
 
-    Without a choice the selection is returned as it is. The pair that is best by name is used unless its first pairs,
-    up to ten, show that it does not fit: camera infos that are not calibrated or those of other images, another image
-    size, rows that differ. Then another pair of the same cameras that fits is used, such as rectified images instead of
+    Without a choice the selection is returned as it is. The topics that are best by name are used unless their first
+    pairs show that they do not fit: camera infos that are not calibrated or those of other images, another image size,
+    rows that differ. Then another pair of the same cameras that fits is used, such as rectified images instead of
     raw ones. Where none fits, the best by name is used, so that its fault is reported.
 
     Args:
@@ -73,19 +73,31 @@ def _note(used: StereoTopics, best: StereoTopics, fault: StereoDepthError) -> st
 def _fault(selection: BagSelection, pairing: PairingConfig | None) -> StereoDepthError | bool:
     """What is wrong with the first pairs; else whether they are right, False where they show too little."""
     types, depth, rectified_depth = RosbagsTypes(), BitDepth(), BitDepth()
-    examined, first = PerCalibration(types, _examination), None
+    examined, first, errors = PerCalibration(types, _examination), None, list[StereoDepthError]()
     try:
         with BagPairs(selection, pairing or PairingConfig()) as pairs:
-            for pair in islice(pairs.pairs(), ALWAYS):
-                rectifier, first = examined.of(pair, pairs.topics.image_type)
-                images = pair.images(types, pairs.topics.image_type, rectifier.rig, depth)
+            image_type = pairs.topics.image_type
+            for pair in islice(pairs.pairs(), LAST):
+                try:
+                    rectifier, first = examined.of(pair, image_type)
+                    if not first.due:
+                        first.skip()
+                        continue
+                    images = pair.images(types, image_type, rectifier.rig, depth)
+                except StereoDepthError as error:  # of this pair, perhaps
+                    errors.append(error)
+                    if len(errors) == ALWAYS:
+                        return error
+                    continue
                 rectified = rectifier.rectify(images, rectified_depth)
                 fault = first.look(images, rectified.left, rectified.right)
                 if fault is not None or first.decided:
                     return fault or True
-        return False if first is None else first.finish() or bool(first.fits)
-    except StereoDepthError as error:
+    except StereoDepthError as error:  # no camera infos, or the cameras are swapped
         return error
+    if first is None or first.fits is None:
+        return errors[0] if errors else False
+    return first.finish() or bool(first.fits)
 
 
 def _examination(rig: StereoRig) -> tuple[Rectifier, FirstPairs]:
