@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.calibration.boards import Corners
+from stereo_depth_ros.calibration.lens_circle import LensCircle
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["BoardView", "Coverage", "Placement", "ViewCollector", "placement"]
@@ -53,16 +54,20 @@ class Placement(NamedTuple):
     skew: float
 
 
-def placement(corners: Corners, size: tuple[int, int]) -> Placement:
-    """Placement of a board in an image of ``size`` (width, height), as camera_calibration of ROS measures it."""
+def placement(corners: Corners, size: tuple[int, int], circle: LensCircle | None = None) -> Placement:
+    """Placement of a board in an image of ``size`` (width, height), as camera_calibration of ROS measures it.
+
+    With the image circle of the lens, the placement in what the circle leaves of the image.
+    """
     points = corners.image_px
     area = cv2.contourArea(cv2.convexHull(points.astype(np.float32)))
     border = float(np.sqrt(area))
+    x0, y0, width, height = circle.box(size) if circle is not None else (0.0, 0.0, *map(float, size))
     x, y = (
-        float(np.clip((mean - border / 2) / max(length - border, 1.0), 0, 1))
-        for mean, length in zip(points.mean(axis=0), size, strict=True)
+        float(np.clip((mean - start - border / 2) / max(length - border, 1.0), 0, 1))
+        for mean, start, length in zip(points.mean(axis=0), (x0, y0), (width, height), strict=True)
     )
-    return Placement(x, y, min(1.0, border / float(np.sqrt(size[0] * size[1]))), _skew(corners))
+    return Placement(x, y, min(1.0, border / float(np.sqrt(width * height))), _skew(corners))
 
 
 def _skew(corners: Corners) -> float:
