@@ -174,7 +174,7 @@ def test_damaged_and_odd_images_are_skipped_and_named(run: Run, tmp_path: Path, 
 
 
 @pytest.mark.parametrize("size", ["6x5"])
-def test_another_size_is_told_by_the_images(run: Run, tmp_path: Path, folder: Path, size: str) -> None:
+def test_another_size_is_found_in_the_images(run: Run, tmp_path: Path, folder: Path, size: str) -> None:
     """Also where some images show a smaller board by chance, in one camera only."""
     for path in folder.glob("*/[2-8].png"):
         path.unlink()
