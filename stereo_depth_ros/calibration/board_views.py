@@ -138,10 +138,12 @@ class ViewCollector:
 
     Attributes:
         views: collected so far.
+        circle: image circle of the left lens, within which the coverage is judged; None is the whole image.
     """
 
     def __init__(self) -> None:
         self.views: list[BoardView] = []
+        self.circle: LensCircle | None = None
         self._placements: list[Placement] = []
 
     def is_new(self, left: Corners, size: tuple[int, int]) -> bool:
@@ -160,4 +162,6 @@ class ViewCollector:
     @property
     def coverage(self) -> Coverage:
         """Coverage of the views collected so far."""
-        return Coverage.of(self._placements)
+        if self.circle is None:
+            return Coverage.of(self._placements)
+        return Coverage.of([placement(view.left, view.size, self.circle) for view in self.views])
