@@ -84,6 +84,7 @@ class Shown:
     pairs: list[tuple[int, int]]
     dense: bool = False
     warnings: list[str] = field(default_factory=list)
+    unreadable: list[str] = field(default_factory=list)
     sizes: tuple[tuple[int, int], tuple[int, int]] = (SIZE, SIZE)
 
     def __len__(self) -> int:

@@ -130,3 +130,64 @@ def test_missing_input(run: Run, tmp_path: Path) -> None:
     code, _, err = run(tmp_path / "none", *BOARD, "-o", tmp_path / "out")
     assert code == 1
     assert "does not exist: name a folder of images, or a bag" in " ".join(err.split())
+
+
+def test_a_circular_image_is_named_and_covered_by_what_is_lit(run: Run, tmp_path: Path, folder: Path) -> None:
+    rows, columns = np.indices((300, 400))
+    dark = np.hypot(columns - 203, rows - 147) > 190
+    for path in folder.glob("*/*.png"):
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        cv2.imwrite(str(path), np.where(dark, 3, image))
+    code, out, err = run(folder, *BOARD, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
+    assert code == 0, err
+    assert "image circle, left center (203, 147), radius 190 px: the coverage is judged within it" in " ".join(
+        out.split()
+    )
+    check = json.loads((tmp_path / "r.json").read_text())
+    assert check["image_circles_px"][1]["radius"] == pytest.approx(190, abs=1)
+    assert check["rms_stereo"] < 0.2
+
+
+def test_damaged_and_odd_images_are_skipped_and_named(run: Run, tmp_path: Path, folder: Path) -> None:
+    (folder / "left" / "0.png").write_bytes(b"not an image")
+    small = np.full((100, 120), 90, np.uint8)
+    cv2.imwrite(str(folder / "right" / "1.png"), small)
+    code, out, err = run(folder, *BOARD, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
+    assert code == 0, err
+    assert "8 examined, 6 used, 0 dropped, 2 skipped" in out
+    assert "0.png: skipped, it is not a readable image" in err
+    assert "warning: 1.png: skipped, it is 400x300 and 120x100, most images are 400x300" in err
+    assert json.loads((tmp_path / "r.json").read_text())["pairs"]["skipped"] == 2
+    for number in range(2, 5):
+        cv2.imwrite(str(folder / "left" / f"{number}.png"), small)
+        cv2.imwrite(str(folder / "right" / f"{number}.png"), small)
+    code, _, err = run(folder, *BOARD, "-o", tmp_path / "none")
+    assert code == 1
+    assert "3 views of the board, at least 5 are required" in err
+    assert all(f"{number}.png: skipped" in err for number in range(5))
+    for path in folder.glob("left/*.png"):
+        path.write_bytes(b"")
+    code, _, err = run(folder, *BOARD, "-o", tmp_path / "none")
+    assert code == 1
+    assert "no pair of images can be read (" in err and "8.png: skipped" in err
+
+
+@pytest.mark.parametrize("size", ["6x5"])
+def test_another_size_is_found_in_the_images(run: Run, tmp_path: Path, folder: Path, size: str) -> None:
+    """Also where some images show a smaller board by chance, in one camera only."""
+    for path in folder.glob("*/[2-8].png"):
+        path.unlink()
+    code, _, err = run(folder, *BOARD, "--size", size, "-o", tmp_path / "out")
+    assert code == 1
+    assert "but one of 7x5 in 2 of 2 images examined again: size counts inner corners, columns x rows: give 7x5" in err
+    assert "camera sees" not in err
+
+
+def test_one_pattern_for_both_cameras(run: Run, tmp_path: Path, folder: Path) -> None:
+    for side, letter in (("left", "L"), ("right", "R")):
+        for path in (folder / side).iterdir():
+            path.rename(folder / f"img{letter}{path.name}")
+    code, _, err = run(folder, *BOARD, "--left", "img*.png", "-o", tmp_path / "out")
+    assert code == 0, err
+    check_files(tmp_path / "out")

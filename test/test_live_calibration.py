@@ -43,6 +43,20 @@ def test_views_are_added_and_calibrated(photographs: list[tuple[U8, U8]]) -> Non
     assert result.rms_stereo_px < 0.2
 
 
+def test_the_coverage_is_that_of_the_image_circle(photographs: list[tuple[U8, U8]]) -> None:
+    whole, collected = live(), live()
+    rows, columns = np.indices(SIZE[::-1])
+    dark = np.hypot(columns - 203, rows - 147) > 190
+    for number, (left, right) in enumerate(photographs):
+        whole.add(str(number), left, right)
+        collected.add(str(number), np.where(dark, 2, left).astype(np.uint8), np.where(dark, 2, right).astype(np.uint8))
+    left_circle, right_circle = collected.calibrate().circles
+    assert left_circle is not None and right_circle is not None
+    assert left_circle.radius == pytest.approx(190, abs=1)
+    assert collected.coverage.x > whole.coverage.x + 0.01
+    assert whole.calibrate().circles == (None, None)
+
+
 def test_rejected_pairs_have_a_reason(photographs: list[tuple[U8, U8]]) -> None:
     collected, (left, right) = live(), photographs[0]
     assert collected.add("a", EMPTY, EMPTY) is ViewStatus.NOT_FOUND

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from stereo_depth_ros.calibration.boards import Corners
+from stereo_depth_ros.calibration.lens_circle import LensCircle
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["BoardView", "Coverage", "Placement", "ViewCollector", "placement"]
@@ -53,16 +54,20 @@ class Placement(NamedTuple):
     skew: float
 
 
-def placement(corners: Corners, size: tuple[int, int]) -> Placement:
-    """Placement of a board in an image of ``size`` (width, height), as camera_calibration of ROS measures it."""
+def placement(corners: Corners, size: tuple[int, int], circle: LensCircle | None = None) -> Placement:
+    """Placement of a board in an image of ``size`` (width, height), as camera_calibration of ROS measures it.
+
+    With the image circle of the lens, the placement in what the circle leaves of the image.
+    """
     points = corners.image_px
     area = cv2.contourArea(cv2.convexHull(points.astype(np.float32)))
     border = float(np.sqrt(area))
+    x0, y0, width, height = circle.box(size) if circle is not None else (0.0, 0.0, *map(float, size))
     x, y = (
-        float(np.clip((mean - border / 2) / max(length - border, 1.0), 0, 1))
-        for mean, length in zip(points.mean(axis=0), size, strict=True)
+        float(np.clip((mean - start - border / 2) / max(length - border, 1.0), 0, 1))
+        for mean, start, length in zip(points.mean(axis=0), (x0, y0), (width, height), strict=True)
     )
-    return Placement(x, y, min(1.0, border / float(np.sqrt(size[0] * size[1]))), _skew(corners))
+    return Placement(x, y, min(1.0, border / float(np.sqrt(width * height))), _skew(corners))
 
 
 def _skew(corners: Corners) -> float:
@@ -133,10 +138,12 @@ class ViewCollector:
 
     Attributes:
         views: collected so far.
+        circle: image circle of the left lens, within which the coverage is judged; None is the whole image.
     """
 
     def __init__(self) -> None:
         self.views: list[BoardView] = []
+        self.circle: LensCircle | None = None
         self._placements: list[Placement] = []
 
     def is_new(self, left: Corners, size: tuple[int, int]) -> bool:
@@ -155,4 +162,6 @@ class ViewCollector:
     @property
     def coverage(self) -> Coverage:
         """Coverage of the views collected so far."""
-        return Coverage.of(self._placements)
+        if self.circle is None:
+            return Coverage.of(self._placements)
+        return Coverage.of([placement(view.left, view.size, self.circle) for view in self.views])

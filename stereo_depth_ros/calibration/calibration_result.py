@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from stereo_depth_ros.calibration.board_views import Coverage
 from stereo_depth_ros.calibration.camera_calibration import DroppedView
+from stereo_depth_ros.calibration.lens_circle import LensCircle
 from stereo_depth_ros.calibration.projection import parameter_names
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64
@@ -84,6 +85,7 @@ class StereoCalibration:
         views: that were used.
         dropped: views that were rejected, with the reason.
         coverage: of the views that were used.
+        circles: image circles of the left and the right lens; None where the image has no dark corners.
         warnings: reasons why the result may be worse than the errors indicate, a sentence each.
     """
 
@@ -102,6 +104,7 @@ class StereoCalibration:
     dropped: tuple[DroppedView, ...]
     coverage: Coverage
     warnings: tuple[str, ...]
+    circles: tuple[LensCircle | None, LensCircle | None] = (None, None)
 
     @property
     def baseline_m(self) -> float:
@@ -134,6 +137,7 @@ class StereoCalibration:
             "right": self.right.to_json(self.model),
             "R": self.R.tolist(),
             "R_sigma_deg": self.R_sigma_deg.tolist(),
+            "image_circles_px": [None if circle is None else asdict(circle) for circle in self.circles],
             "T_m": self.T.tolist(),
             "T_sigma_m": self.T_sigma_m.tolist(),
             "coverage": {**coverage, "missing": list(self.coverage.missing)},

@@ -46,6 +46,8 @@ class Chessboard:
         if not found:
             return None
         corners_px = np.asarray(corners, np.float64).reshape(-1, 2)
+        if (corners_px < 0).any() or (corners_px > np.array(gray.shape[::-1]) - 1).any():
+            return None  # extrapolated, as where a board of another size is sought
         refined = refine_corners(gray, corners_px, self._spacing_px(corners_px))
         return Corners(self._ids, self._board_m, refined)
 

@@ -12,6 +12,8 @@ from stereo_depth_ros.calibration.board_views import BoardView, Coverage, ViewCo
 from stereo_depth_ros.calibration.boards import Board, Corners, is_sharp
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS
+from stereo_depth_ros.calibration.distortion_range import Circles
+from stereo_depth_ros.calibration.lens_circle import LitPixels
 from stereo_depth_ros.calibration.stereo_calibration import calibrate
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import U8
@@ -51,6 +53,8 @@ class LiveCalibration:
     def __init__(self, board: Board, model: str, max_motion_px: float = 2.0) -> None:
         self._board, self._model, self.max_motion_px = board, model, max_motion_px
         self._collector = ViewCollector()
+        self._lit = LitPixels(), LitPixels()
+        self._circles: Circles = (None, None)
         self._size: tuple[int, int] | None = None
         self.result: StereoCalibration | None = None
         self.seen: Corners | None = None
@@ -83,6 +87,8 @@ class LiveCalibration:
             CalibrationError: the image size differs from that of the first pair.
         """
         size = self._checked_size(left, right)
+        for pixels, gray in zip(self._lit, (left, right), strict=True):
+            pixels.add(gray)
         before, self.seen = self.seen, self._board.detect(left)
         if self.seen is None:
             return ViewStatus.NOT_FOUND if self._board.detect(right) is None else ViewStatus.RIGHT_ONLY
@@ -96,6 +102,8 @@ class LiveCalibration:
         if not (is_sharp(left, self.seen) and is_sharp(right, found)):
             return ViewStatus.BLURRED
         self._collector.add(BoardView(name, size, self.seen, self._board.align(self.seen, found)))
+        self._circles = self._lit[0].circle(), self._lit[1].circle()
+        self._collector.circle = self._circles[0]
         return ViewStatus.ADDED
 
     def calibrate(self) -> StereoCalibration:
@@ -111,7 +119,7 @@ class LiveCalibration:
                 limit=MIN_VIEWS,
                 remedy="; ".join(self.advice),
             )
-        self.result = calibrate(self.views, self._model)
+        self.result = calibrate(self.views, self._model, self._circles)
         return self.result
 
     def _checked_size(self, left: U8, right: U8) -> tuple[int, int]:

@@ -22,9 +22,12 @@ from stereo_depth_ros.calibration.camera_calibration import (
     outlier_view,
     too_few_views,
 )
+from stereo_depth_ros.calibration.circle_rectification import rectified_in_circles
 from stereo_depth_ros.calibration.distortion_range import (
+    Circles,
     check_distortion_range,
     ensure_monotonic_distortion,
+    needed_range_px,
     zeroed_coefficients,
 )
 from stereo_depth_ros.calibration.projection import camera_matrix, check_model, distortion_range_px
@@ -41,7 +44,9 @@ _WARN_RATIO = 2.0  # of the rms of both cameras to that of one alone, above whic
 _MAX_RATIO = 10.0  # of those, above which the images are not synchronized
 
 
-def calibrate(views: Sequence[BoardView], model: str = "plumb_bob") -> StereoCalibration:
+def calibrate(
+    views: Sequence[BoardView], model: str = "plumb_bob", circles: Circles = (None, None)
+) -> StereoCalibration:
     """Calibrate a stereo rig from views of a board.
 
     Each camera is calibrated alone, then all parameters of both by bundle adjustment. Outlier views are dropped one at
@@ -50,6 +55,8 @@ def calibrate(views: Sequence[BoardView], model: str = "plumb_bob") -> StereoCal
     Args:
         views: of one board, in images of one size.
         model: "plumb_bob", "rational_polynomial" or "equidistant".
+        circles: image circles of the lenses, see :class:`LitPixels`; the coverage and the distortion are judged within
+            them, and the rectified images of a fisheye show nothing from outside.
 
     Raises:
         ConfigError: an unknown model.
@@ -68,9 +75,9 @@ def calibrate(views: Sequence[BoardView], model: str = "plumb_bob") -> StereoCal
     alone_px = (left.solution.rms_px(), right.solution.rms_px())
     _check_together(solution, alone_px, len(kept), len(views))
     solution = ensure_monotonic_distortion(
-        [(views[number].left, views[number].right) for number in kept], solution, size
+        [(views[number].left, views[number].right) for number in kept], solution, size, circles
     )
-    return _result(views, kept, dropped, solution, alone_px, size)
+    return _result(views, kept, dropped, solution, alone_px, size, circles)
 
 
 def _common_size(views: Sequence[BoardView]) -> tuple[int, int]:
@@ -165,6 +172,7 @@ def _result(
     solution: BundleSolution,
     alone_px: tuple[float, float],
     size: tuple[int, int],
+    circles: Circles,
 ) -> StereoCalibration:
     parameters = solution.parameters
     sigmas = solution.sigmas
@@ -172,9 +180,12 @@ def _result(
     _check_determined(cameras)
     R, T = cv2.Rodrigues(parameters.rig[:3])[0], parameters.rig[3:]
     _check_baseline(T)
-    check_distortion_range(parameters, size)
+    check_distortion_range(parameters, size, circles)
     left, right = cameras
-    rig = StereoRig.from_calibration(left.K, left.D, right.K, right.D, R, T, size, parameters.model)
+    if parameters.model == "equidistant" and any(circles):
+        rig = rectified_in_circles(parameters, R, T, size, circles)
+    else:
+        rig = StereoRig.from_calibration(left.K, left.D, right.K, right.D, R, T, size, parameters.model)
     used = [views[number] for number in kept]
     rows = [_row_errors_px(rig, view) for view in used]
     errors_px = np.concatenate(rows)
@@ -198,8 +209,9 @@ def _result(
         rig=rig,
         views=tuple(_view_errors(solution, used, rows)),
         dropped=tuple(dropped),
-        coverage=Coverage.of([placement(view.left, size) for view in used]),
-        warnings=tuple(_warnings(parameters, cameras, size)),
+        circles=circles,
+        coverage=Coverage.of([placement(view.left, size, circles[0]) for view in used]),
+        warnings=tuple(_warnings(parameters, cameras, size, circles)),
     )
 
 
@@ -261,19 +273,22 @@ def _view_errors(solution: BundleSolution, views: Sequence[BoardView], rows: Seq
 
 
 def _warnings(
-    parameters: BundleParameters, cameras: Sequence[CalibratedCamera], size: tuple[int, int]
+    parameters: BundleParameters, cameras: Sequence[CalibratedCamera], size: tuple[int, int], circles: Circles
 ) -> Iterator[str]:
     if names := ", ".join(zeroed_coefficients(parameters)):
         yield f"the views do not determine {names}, fixed at 0: show the board near the edges of the image"
-    for side, camera, intrinsics in zip(("left", "right"), cameras, parameters.intrinsics, strict=True):
+    sides = zip(("left", "right"), cameras, parameters.intrinsics, circles, strict=True)
+    for side, camera, intrinsics, circle in sides:
         if camera.rms_px > _WARN_RATIO * camera.rms_alone_px:
             yield (
                 f"{side} camera: rms {camera.rms_px:.2f} px with the other camera, {camera.rms_alone_px:.2f} px alone: "
                 "the cameras are not synchronized, or the rig is not rigid; hold the board still"
             )
         range_px, corner_px = distortion_range_px(parameters.model, intrinsics, size)
-        if range_px < corner_px:
+        needed_px = needed_range_px(intrinsics, corner_px, circle)
+        if range_px < needed_px:
+            place = "image corners are" if circle is None else "edge of the image circle is"
             yield (
-                f"{side} camera: the distortion decreases beyond {range_px:.0f} px from the principal point, the image "
-                f"corners are at {corner_px:.0f} px: show the board there, or use a model with fewer coefficients"
+                f"{side} camera: the distortion decreases beyond {range_px:.0f} px from the principal point, the "
+                f"{place} at {needed_px:.0f} px: show the board there, or use a model with fewer coefficients"
             )

@@ -128,9 +128,9 @@ def calibrate(
     check_outputs([*calibration_files(output), coverage], images.files, reports=[json_file], overwrite=overwrite)
     with progress_bar("looking for the board") as progress:
         found = find_views(images, sought, board_of_size, progress)
-    warnings = [*images.warnings, *_warnings(found)]
+    warnings = [*images.warnings, *found.skipped, *_warnings(found)]
     try:
-        result = calibrate_rig(found.views, model)
+        result = calibrate_rig(found.views, model, found.circles)
     except CalibrationError as error:
         error.problem += _reasons(found)
         raise
@@ -162,4 +162,4 @@ def _reasons(found: FoundViews) -> str:
     """Why the other pairs were not used, if there are too few views."""
     if len(found.views) >= MIN_VIEWS:
         return ""
-    return f" ({'; '.join([f'{found.pairs} pairs examined', *_warnings(found)])})"
+    return f" ({'; '.join([f'{found.pairs} pairs examined', *_warnings(found), *found.skipped])})"

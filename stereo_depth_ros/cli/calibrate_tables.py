@@ -17,6 +17,7 @@ __all__ = ["calibrate_tables", "calibrate_values"]
 
 def calibrate_values(result: StereoCalibration, found: FoundViews, output: Path) -> dict[str, Any]:
     counts = {"left_only": len(found.left_only), "right_only": len(found.right_only), "without": len(found.not_found)}
+    counts["skipped"] = len(found.skipped)
     return {**result.to_json(), "pairs": {"total": found.pairs, **counts}, "output": str(output)}
 
 
@@ -24,7 +25,11 @@ def calibrate_tables(result: StereoCalibration, found: FoundViews, output: Path)
     yield _cameras_table(result)
     yield _views_table(result)
     facts = facts_table()
-    facts.add_row("pairs", f"{found.pairs} examined, {len(result.views)} used, {len(result.dropped)} dropped")
+    counts = f"{found.pairs} examined, {len(result.views)} used, {len(result.dropped)} dropped"
+    facts.add_row("pairs", counts + (f", {len(found.skipped)} skipped" if found.skipped else ""))
+    for side, circle in zip(("left", "right"), result.circles, strict=True):
+        if circle is not None:
+            facts.add_row(f"image circle, {side}", f"{circle}: the coverage is judged within it")
     facts.add_row("baseline", f"{1e3 * result.baseline_m:.3f} ± {1e3 * result.baseline_sigma_m:.3f} mm")
     facts.add_row("rms of both cameras", f"{result.rms_stereo_px:.3f} px")
     alone = f"left {result.left.rms_alone_px:.3f}, right {result.right.rms_alone_px:.3f} px"

@@ -10,7 +10,7 @@ from typing import Any
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import show
 from stereo_depth_ros.cli.tables import TextTable, plain_table
-from stereo_depth_ros.config import CONFIGS, parameter_infos
+from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
 from stereo_depth_ros.files.output import check_outputs
 
 __all__ = ["app"]
@@ -35,8 +35,13 @@ def _table() -> TextTable:
     table = plain_table("parameter", "default:r", "range", "meaning")
     for stage in CONFIGS.values():
         for info in parameter_infos(stage):
-            table.add_row(info.name, str(info.default), info.range_text, info.doc)
+            table.add_row(info.name, _default(info), info.range_text, info.doc)
     return table
+
+
+def _default(info: ParameterInfo) -> str:
+    """As it is written in YAML."""
+    return str(info.default).lower() if info.type is bool else str(info.default)
 
 
 def _values() -> list[dict[str, Any]]:

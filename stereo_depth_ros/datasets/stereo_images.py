@@ -16,7 +16,7 @@ from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_candidates
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
-from stereo_depth_ros.core.errors import BagError, TopicError
+from stereo_depth_ros.core.errors import BagError, MessageError, TopicError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.types import U8, Frame
@@ -44,12 +44,14 @@ class StereoImages(Protocol):
     """Pairs of images.
 
     Attributes:
-        warnings: a sentence for everything that was skipped; final when all pairs have been read.
+        warnings: a sentence for everything else that was skipped; final when all pairs have been read.
+        unreadable: a sentence for each pair with an image that cannot be read; final as those.
         dense: whether the pairs are a recording, in which successive images are similar.
         files: all files that are read.
     """
 
     warnings: list[str]
+    unreadable: list[str]
     dense: bool
     files: list[Path]
 
@@ -111,15 +113,21 @@ class FolderImages:
                 settings=_SETTINGS,
             ) from error
         self._pairs, self.warnings = found.pairs, found.warnings
+        self.unreadable: list[str] = []
         self.files = [path for pair in self._pairs for path in pair]
 
     def __len__(self) -> int:
         return len(self._pairs)
 
     def __iter__(self) -> Iterator[ImagePair]:
+        self.unreadable.clear()
         for left, right in self._pairs:
-            one, other = read_pair(left, right)
-            yield ImagePair(left.name, _gray(one), _gray(other))
+            try:
+                one, other = read_pair(left, right)
+            except BagError as error:
+                self.unreadable.append(f"{error.subject}: skipped, it {error.problem}")
+            else:
+                yield ImagePair(left.name, _gray(one), _gray(other))
 
 
 def _gray(pixels: U8) -> U8:
@@ -146,6 +154,7 @@ class BagImages:
         self._path = path
         self._types = RosbagsTypes()
         self.files = bag_files(path)
+        self.unreadable: list[str] = []
         with BagReader(path) as reader:
             self.warnings = [reader.warning] if reader.warning else []
             found = bag_candidates(reader, left, right, side_by_side=side_by_side)
@@ -167,21 +176,28 @@ class BagImages:
         config = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=_TOLERANCE_S)
         pairing: StereoPairing[bytes] = StereoPairing(config)
         depth = BitDepth()
+        self.unreadable.clear()
         with BagReader(self._path) as reader:
             images, stamped = CameraImages(reader, self._topics), StampedMessages()
             for stamp_ns, message in stamped.read(reader.messages(images.names)):
                 for side, data in images.of(message):
                     for pair in (pairing.add_left, pairing.add_right)[side](stamp_ns, data):
-                        yield self._decoded(*pair, depth)
+                        yield from self._decoded(*pair, depth)
             for pair in pairing.flush():
-                yield self._decoded(*pair, depth)
+                yield from self._decoded(*pair, depth)
         lost = pairing.counts.dropped_left + pairing.counts.dropped_right
         if stamped.error:
             self.warnings.append(f"{self._path}: {stamped.error}")
         if lost:
             self.warnings.append(f"{self._path}: {lost} images have no partner within {1e3 * _TOLERANCE_S:g} ms")
 
-    def _decoded(self, left: bytes, right: bytes, depth: BitDepth) -> ImagePair:
-        one, other = (self._types.deserialize(data, self._topics.image_type) for data in (left, right))
-        pair = decode_pair(one, other, (self._topics.left_image, self._topics.right_image), depth)
-        return ImagePair(f"{cdr_stamp_ns(left) / 1e9:.3f} s", to_gray(pair.left), to_gray(pair.right))
+    def _decoded(self, left: bytes, right: bytes, depth: BitDepth) -> Iterator[ImagePair]:
+        """The pair; nothing, and a sentence, where an image cannot be decoded."""
+        name = f"{cdr_stamp_ns(left) / 1e9:.3f} s"
+        try:
+            one, other = (self._types.deserialize(data, self._topics.image_type) for data in (left, right))
+            pair = decode_pair(one, other, (self._topics.left_image, self._topics.right_image), depth)
+        except MessageError as error:
+            self.unreadable.append(f"{name}: skipped, {error.subject}: {error.problem}")
+        else:
+            yield ImagePair(name, to_gray(pair.left), to_gray(pair.right))
