@@ -22,7 +22,9 @@ help: ## list the targets
 demo: $(VENV)/demo ## play the sample bag through the live graph; prints a table, writes a bag and an image
 	$(BIN)/stereo-depth demo --overwrite
 
-# Three processes on two cores: the one of the graph mostly waits.
+# Three processes on two cores: the one of the graph mostly waits. The hundreds that they start load bytecode, also where
+# the environment says to write none.
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(VENV)/test ## run every test; those of the graph one after the other, the others beside them
 	$(BIN)/python -m pytest -n 3 $(PYTEST_ARGS)
 

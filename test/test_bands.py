@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import threading
@@ -104,3 +105,19 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     result = subprocess.run([sys.executable, "-c", program], timeout=60, check=False)
     assert result.returncode == 0
+
+
+def test_a_process_that_is_interrupted_while_a_thread_starts_ends() -> None:
+    program = """
+import threading
+from stereo_depth_ros.core import bands
+bands.core_count = lambda: 2
+start = threading.Thread.start
+def interrupted(thread):
+    start(thread)
+    raise KeyboardInterrupt
+threading.Thread.start = interrupted
+bands.run_bands(lambda first, last: None, 300)
+"""
+    result = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, timeout=60, check=False)
+    assert result.returncode == -signal.SIGINT, result.stderr

@@ -101,7 +101,7 @@ def test_wrong_input(
     run: Run, tmp_path: Path, folder: Path, arguments: tuple[str, ...], text: str, expected: int
 ) -> None:
     if text.startswith("but one"):
-        for path in folder.glob("*/[2-8].png"):
+        for path in folder.glob("*/[1-8].png"):
             path.unlink()
     code, _, err = run(folder, *BOARD, "-o", tmp_path / "out", *arguments)
     assert code == expected

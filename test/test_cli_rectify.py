@@ -14,6 +14,7 @@ from command_line import CommandLine, Run
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
@@ -25,12 +26,16 @@ def run(command_line: CommandLine) -> Run:
     return command_line("rectify", columns=100)
 
 
+@pytest.fixture(scope="module")
+def raw() -> StereoPair:
+    return SCENE[0].pair
+
+
 @pytest.fixture
-def pair(tmp_path: Path) -> tuple[Path, Path]:
+def pair(raw: StereoPair, tmp_path: Path) -> tuple[Path, Path]:
     """A raw pair of two distorted, verged cameras, and their calibration beside it in rig/."""
-    frame = next(iter(SCENE))
     paths = tmp_path / "l.png", tmp_path / "r.png"
-    for path, image in zip(paths, (frame.pair.left, frame.pair.right), strict=True):
+    for path, image in zip(paths, (raw.left, raw.right), strict=True):
         cv2.imwrite(str(path), image.pixels)
     (tmp_path / "rig").mkdir()
     write_camera(tmp_path / "rig" / "left.yaml", SCENE.rig.left, "left")
@@ -38,7 +43,7 @@ def pair(tmp_path: Path) -> tuple[Path, Path]:
     return paths
 
 
-def test_by_the_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+def test_by_the_calibration(run: Run, tmp_path: Path, raw: StereoPair, pair: tuple[Path, Path]) -> None:
     code, out, err = run(*pair, "--rig", tmp_path / "rig", "-o", tmp_path / "out", "--json", tmp_path / "r.json")
     assert (code, err) == (0, "")
     result = json.loads((tmp_path / "r.json").read_text())
@@ -48,7 +53,7 @@ def test_by_the_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -
     assert "in meters" in out
     left = cv2.imread(str(tmp_path / "out" / "left.png"), cv2.IMREAD_GRAYSCALE)
     assert left is not None
-    np.testing.assert_array_equal(left, Rectifier(SCENE.rig).rectify_left(next(iter(SCENE)).pair.left.pixels))
+    np.testing.assert_array_equal(left, Rectifier(SCENE.rig).rectify_left(raw.left.pixels))
     rows = cv2.imread(str(tmp_path / "out" / "rows.png"))
     assert rows is not None and rows.shape[1] > 1200
     assert not (tmp_path / "out" / "left.yaml").exists()

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from command_line import CommandLine
+from command_line import CommandLine, Run
 from documents import BLOCKS, DOCUMENTS, ROOT, Block, Call, make_inputs, output_after, read, setup_value
 from stereo_bags import messages_of
 from test_config import WIDER
@@ -51,7 +51,7 @@ NOT_RUN = {
 }
 NAMED_PATH = re.compile(r"`((?:\w+/)+(?:[\w.]+\.(?:py|md|yaml|xml|mcap))?)`")
 # These need a graph.
-GRAPH = ("ros2 run", "ros2 service call", "stereo-depth replay")
+GRAPH = ("ros2 run", "ros2 service call", "stereo-depth replay", "stereo-depth demo")
 
 
 def spans(text: str) -> list[str]:
@@ -74,22 +74,17 @@ CALLS = [(block, call) for block in BLOCKS if block.language == "bash" for call 
 
 
 def calls(start: str) -> list[Any]:
-    """Parameters of a test: all calls in the documents that begin so; those of the graph are marked."""
-    return [
-        pytest.param(call, id=f"{block}: {call}", marks=[pytest.mark.graph] * bool(begins(call, GRAPH)))
-        for block, call in CALLS
-        if begins(call, [start])
-    ]
+    """Parameters of a test: all calls in the documents that begin so."""
+    return [pytest.param(call, id=f"{block}: {call}") for block, call in CALLS if begins(call, [start])]
 
 
-def shell_blocks() -> list[Any]:
-    """Parameters of a test: all shell blocks with calls of `stereo-depth` that are run."""
+def shell_blocks(graph: bool) -> list[Any]:
+    """Parameters of a test: all shell blocks with calls of `stereo-depth` that are run, with or without a graph."""
     found = []
     for block in BLOCKS:
         run = [call for call in block.calls if begins(call, ["stereo-depth "]) and not begins(call, NOT_RUN)]
-        if block.language == "bash" and run:
-            graph = any(begins(call, GRAPH) for call in run)
-            found.append(pytest.param(block, run, id=str(block), marks=[pytest.mark.graph] * graph))
+        if block.language == "bash" and run and any(begins(call, GRAPH) for call in run) == graph:
+            found.append(pytest.param(block, run, id=str(block)))
     return found
 
 
@@ -114,8 +109,16 @@ def test_every_call_is_run_or_listed_with_the_reason() -> None:
     assert not unused, f"not in any document: {unused}"
 
 
-@pytest.mark.parametrize(("block", "run_calls"), shell_blocks())
+@pytest.mark.parametrize(("block", "run_calls"), shell_blocks(graph=False))
 def test_commands_run_from_the_top_of_a_block_to_its_end(
+    block: Block, run_calls: list[Call], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command_line: CommandLine
+) -> None:
+    run_block(block, run_calls, tmp_path, monkeypatch, command_line(columns=130))
+
+
+@pytest.mark.graph
+@pytest.mark.parametrize(("block", "run_calls"), shell_blocks(graph=True))
+def test_commands_with_a_graph_run_too(
     block: Block,
     run_calls: list[Call],
     tmp_path: Path,
@@ -123,12 +126,14 @@ def test_commands_run_from_the_top_of_a_block_to_its_end(
     command_line: CommandLine,
     own_domain: None,
 ) -> None:
-    if any(begins(call, GRAPH) for call in run_calls):
-        pytest.importorskip("rclpy", reason="graph tests need ROS 2")
+    pytest.importorskip("rclpy", reason="graph tests need ROS 2")
+    run_block(block, run_calls, tmp_path, monkeypatch, command_line(columns=130))
+
+
+def run_block(block: Block, run_calls: list[Call], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
     expected = output_after(block)
     make_inputs(tmp_path, block.text, whole_bag=bool(expected))
     monkeypatch.chdir(tmp_path)
-    run = command_line(columns=130)
     printed = ""
     for call in run_calls:
         code, out, err = run(*call.words[1:])

@@ -7,10 +7,15 @@ from __future__ import annotations
 import functools
 import itertools
 import os
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
+from queue import SimpleQueue
+from typing import TypeAlias
 
 __all__ = ["core_count", "run_bands"]
+
+_Queue: TypeAlias = "SimpleQueue[tuple[Future[None], Callable[[], None]]]"
 
 
 def core_count() -> int:
@@ -21,12 +26,36 @@ def core_count() -> int:
 
 
 @functools.cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max(core_count() - 1, 1), thread_name_prefix="bands")
+def _queue() -> _Queue:
+    """Bands for the other cores, and their threads.
+
+    A ThreadPoolExecutor that is interrupted while it starts a thread is waited for at the end of the process, for ever.
+    """
+    queue: _Queue = SimpleQueue()
+    for number in range(max(core_count() - 1, 1)):
+        threading.Thread(target=_work, args=(queue,), name=f"bands_{number}", daemon=True).start()
+    return queue
 
 
-# A forked child has the pool object but none of its threads.
-os.register_at_fork(after_in_child=_pool.cache_clear)
+# A forked child has the queue but none of its threads.
+os.register_at_fork(after_in_child=_queue.cache_clear)
+
+
+def _work(queue: _Queue) -> None:
+    while True:
+        future, call = queue.get()
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(call())
+            except BaseException as error:  # run_bands raises it
+                future.set_exception(error)
+        del future, call  # they hold the images
+
+
+def _submit(call: Callable[[], None]) -> Future[None]:
+    future: Future[None] = Future()
+    _queue().put((future, call))
+    return future
 
 
 def run_bands(kernel: Callable[..., None], rows: int, *args: object, min_rows: int = 64) -> None:
@@ -48,7 +77,7 @@ def run_bands(kernel: Callable[..., None], rows: int, *args: object, min_rows: i
     bands = max(1, min(core_count(), rows // min_rows))
     edges = [rows * band // bands for band in range(bands + 1)]
     calls = [functools.partial(kernel, first, last, *args) for first, last in itertools.pairwise(edges)]
-    others = [(_pool().submit(call), call) for call in calls[1:]]
+    others = [(_submit(call), call) for call in calls[1:]]
     errors: list[BaseException] = []
     _collect(calls[0], errors)
     for future, call in others:
