@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from stereo_depth_ros.calibration.auto_correction import AutoCorrection, Correction
 from stereo_depth_ros.calibration.misalignment import CorrectionLimits, Misalignment, MisalignmentEstimator
 from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
-from stereo_depth_ros.config import CalibrationMonitorConfig, PairingConfig
+from stereo_depth_ros.config import CalibrationMonitorConfig, CameraInfoConfig, PairingConfig
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import sensor_intrinsics
 from stereo_depth_ros.core.images import to_gray
@@ -55,7 +55,7 @@ class CalibrationMonitor(StereoNode):
 
     interface = NodeInterface(
         "calibration_monitor",
-        configs=(PairingConfig, CalibrationMonitorConfig),
+        configs=(PairingConfig, CameraInfoConfig, CalibrationMonitorConfig),
         inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
         outputs={
             "health/row_error": "std_msgs/msg/Float64MultiArray",
