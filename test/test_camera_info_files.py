@@ -214,6 +214,7 @@ def test_a_node_reads_files_and_subscribes_to_no_camera_infos(folder: Path) -> N
     from sensor_msgs.msg import Image
 
     from stereo_depth_ros.messages.image import image_message
+    from stereo_depth_ros.nodes.calibration_monitor import CalibrationMonitor
     from stereo_depth_ros.nodes.message_types import RclpyTypes
     from stereo_depth_ros.nodes.rectify_node import RectifyNode
     from stereo_depth_ros.stages.rectification import Rectifier
@@ -234,6 +235,8 @@ def test_a_node_reads_files_and_subscribes_to_no_camera_infos(folder: Path) -> N
         expected = Rectifier(RIG).rectify_left(frame.pixels)
         np.testing.assert_array_equal(image_pixels(received[0]), expected)
         assert received[0].header.frame_id == "a_frame"
+    with pytest.raises(ConfigError, match="auto_correct corrects camera infos of topics, not those of the file"):
+        Graph(CalibrationMonitor, parameters={**parameters, "auto_correct": True})
     with pytest.raises(CalibrationError, match=r"none\.yaml: does not exist") as caught:
         Graph(RectifyNode, parameters={"left_camera_info_url": "none.yaml"})
     assert caught.value.settings == ("left_camera_info_url", "right_camera_info_url")
