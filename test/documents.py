@@ -14,6 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from camera_file_texts import camchain, truth
 from evaluation_scenes import HEIGHT, WIDTH, write_scene
 from rendered_boards import SIZE, KnownRig, chessboard_points, chessboard_print, poses
 from test_datasets import make_euroc, make_kitti
@@ -155,6 +156,7 @@ INPUTS: Mapping[str, Callable[[Path], object]] = {
     SAMPLE_BAG: _write_short_bag,
     "board_images": _write_board_images,
     "calibration": _write_calibration,
+    "camchain.yaml": lambda path: path.write_text(camchain(truth("plumb_bob"), "radtan")),
     "left.png": lambda path: _write_pair(path, path.with_name("right.png")),
     "Motorcycle": _write_middlebury,
     "kitti_odometry": make_kitti,

@@ -57,7 +57,7 @@ def test_options_of_the_program_and_of_a_command(bash: Complete) -> None:
     assert bash("process", "--par") == ["--param", "--params-file"]
     assert {"--matcher", "--start", "--overwrite", "-o", "-h"} <= set(bash("process", "-"))
     assert "--loop" not in bash("process", "in.mcap", "-")
-    assert bash("convert", "images", "--l") == ["--left-yaml"]
+    assert bash("convert", "images", "--c") == ["--camera-info"]
 
 
 @pytest.mark.parametrize(

@@ -240,10 +240,10 @@ def test_convert_keeps_the_dataset(run: Run, tmp_path: Path) -> None:
     write_pair(tmp_path)
     (tmp_path / "left.yaml").rename(tmp_path / "left.mcap")
     before = contents(tmp_path)
-    arguments = ("convert", "images", tmp_path, tmp_path / "left.mcap", "--left-yaml", tmp_path / "left.mcap")
-    refused(run(*arguments, "--overwrite"), READ)
+    files = ("--camera-info", tmp_path / "left.mcap", "--camera-info", tmp_path / "right.yaml")
+    refused(run("convert", "images", tmp_path, tmp_path / "left.mcap", *files, "--overwrite"), READ)
     (tmp_path / "o.mcap").symlink_to("left.png")
-    refused(run("convert", "images", tmp_path, tmp_path / "o.mcap", "--left-yaml", tmp_path / "left.mcap"), READ)
+    refused(run("convert", "images", tmp_path, tmp_path / "o.mcap", *files), READ)
     (tmp_path / "o.mcap").unlink()
     assert contents(tmp_path) == before
 

@@ -398,13 +398,13 @@ def test_images(tmp_path: Path, pattern: str) -> None:
         ImagesDataset(tmp_path)
     write_camera(tmp_path / "left.yaml", rig.left, "left")
     write_camera(tmp_path / "other.yaml", rig.right, "right")
-    dataset = ImagesDataset(tmp_path, right_yaml=tmp_path / "other.yaml")
+    dataset = ImagesDataset(tmp_path, [tmp_path / "left.yaml", tmp_path / "other.yaml"])
     assert dataset.rig.doffs_px == pytest.approx(-3.25)
     assert [(f.left.pixels[0, 0], f.right.pixels[0, 0]) for f in dataset] == [(0, 5), (1, 6)]
     assert len(dataset) == 2 and dataset.rig.frame_id == "left_optical_frame"
     alone = tmp_path / pattern.format(side="right", index=9)
     image(alone)
-    dataset = ImagesDataset(tmp_path, right_yaml=tmp_path / "other.yaml")
+    dataset = ImagesDataset(tmp_path, [tmp_path / "left.yaml", tmp_path / "other.yaml"])
     assert (len(dataset), dataset.skipped) == (2, 1)
     assert dataset.warnings == [f"{alone}: skipped, it has no left image"]
 

@@ -247,7 +247,7 @@ def test_a_container_is_answered_with_a_word(entities: list[Any]) -> None:
         ({"stereo_algorithm": "1", "P1": "500.0"}, "P2 = 400 is not above P1 = 500"),
         ({"health": "maybe"}, "argument health = 'maybe' is not one of true, false, 1, 0: use one of them"),
         ({"log_level": "loud"}, "argument log_level = 'loud' is not one of debug, info"),
-        ({"params_file": "/none.yaml"}, "/none.yaml: is not a parameter file"),
+        ({"params_file": "/none.yaml"}, "/none.yaml: does not exist: name a YAML file of ROS parameters"),
     ],
 )
 def test_wrong_arguments_are_named_before_a_node_starts(

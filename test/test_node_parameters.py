@@ -52,6 +52,8 @@ BOTH = {
     "approximate_sync": (BOOL, False),
     "approximate_sync_tolerance_seconds": (DOUBLE, 0.0),
     "image_transport": (STRING, "raw"),
+    "left_camera_info_url": (STRING, ""),
+    "right_camera_info_url": (STRING, ""),
 }
 CLOUD = {"avoid_point_cloud_padding": (BOOL, False), "use_color": (BOOL, True)}
 VALUE_FIELDS = {BOOL: "bool_value", INT: "integer_value", DOUBLE: "double_value", STRING: "string_value"}

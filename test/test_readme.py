@@ -286,7 +286,7 @@ def test_nodes_start_with_these_arguments(call: Call, tmp_path: Path, monkeypatc
 
     package, node, *arguments = call.words[2:]
     assert package == "stereo_depth_ros" and node in setup_value("NODES")
-    (tmp_path / "config").symlink_to(ROOT / "config")
+    make_inputs(tmp_path, str(call))
     (tmp_path / "src").mkdir()  # of a workspace
     (tmp_path / "src" / package).symlink_to(ROOT)
     monkeypatch.chdir(tmp_path)

@@ -93,8 +93,8 @@ def test_paths_that_are_not_files(tmp_path: Path) -> None:
         (tmp_path / "none", "does not exist"),
         (tmp_path / "pipe", "is a device or a pipe, not a file"),
         (Path("/dev/zero"), "is a device or a pipe, not a file"),
-        (tmp_path / "a\0b", r"cannot be read \(not a path\)"),
-        (tmp_path / ("a" * 300), r"cannot be read \(file name too long\)"),
+        (tmp_path / "a\0b", "cannot be read, it is not a path"),
+        (tmp_path / ("a" * 300), "cannot be read, .*too long"),
     ):
         with pytest.raises(CalibrationError, match=f"{match}: give another$"):
             read_text(path, CalibrationError, "give another")

@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from stereo_depth_ros.bags.file_infos import file_infos
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
 from stereo_depth_ros.bags.topics import StereoTopics
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.core.errors import CalibrationError, MessageError, StereoDepthError, TopicError
+from stereo_depth_ros.core.errors import BagError, CalibrationError, MessageError, StereoDepthError, TopicError
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.unpaired import Arrival, stamp_offset_ns, taken_together, unset_stamps
@@ -55,6 +56,7 @@ class BagInfo:
         rig: the rig of the first two camera infos.
         exact_pairs: pairs of equal stamps.
         near_pairs: pairs within ``tolerance_s``, equal stamps included.
+        camera_files: the calibration files that are read instead of the camera infos of the bag.
         problems: errors, what prevents stereo depth.
         warnings: what else a user should know, a sentence each.
     """
@@ -72,6 +74,7 @@ class BagInfo:
     tolerance_s: float
     problems: tuple[StereoDepthError, ...]
     warnings: tuple[str, ...]
+    camera_files: tuple[Path, ...] = ()
 
     @property
     def usable(self) -> bool:
@@ -86,6 +89,7 @@ def inspect_bag(
     right: str | None = None,
     side_by_side: bool = False,
     tolerance_s: float = 0.01,
+    camera_files: Sequence[Path] = (),
 ) -> BagInfo:
     """Examines a whole bag; only the first image of each camera is decoded.
 
@@ -94,6 +98,7 @@ def inspect_bag(
         left, right: image topics; None finds them.
         side_by_side: both images are in one topic, left or right.
         tolerance_s: largest difference of stamps in a near pair, seconds.
+        camera_files: calibration files that are read instead of the camera infos of the bag.
 
     Raises:
         BagError: not a readable bag. Everything else is reported in ``problems``.
@@ -102,7 +107,10 @@ def inspect_bag(
         inspection = _Inspection(reader)
         stereo = inspection.find_topics(left, right, side_by_side)
         left_image, right_image = inspection.first_images(stereo)
-        rig = inspection.read_rig(stereo, left_image, right_image)
+        if camera_files:
+            stereo, rig = inspection.read_files(stereo, camera_files)
+        else:
+            rig = inspection.read_rig(stereo, left_image, right_image)
         exact_pairs, near_pairs = inspection.count_pairs(stereo, tolerance_s)
         duration_s = (reader.end_ns - reader.start_ns) * 1e-9
         return BagInfo(
@@ -119,6 +127,7 @@ def inspect_bag(
             tolerance_s=tolerance_s,
             problems=tuple(inspection.problems),
             warnings=(reader.warning,) if reader.warning else (),
+            camera_files=tuple(camera_files),
         )
 
 
@@ -154,6 +163,20 @@ class _Inspection:
                 self.problems.append(error)
         return found[0], found[1]
 
+    def read_files(
+        self, stereo: StereoTopics | None, files: Sequence[Path]
+    ) -> tuple[StereoTopics | None, StereoRig | None]:
+        """The topics with the files in place of the camera infos, and their rig."""
+        if stereo is None:
+            return None, None
+        try:
+            found = file_infos(self._reader, stereo, files)
+        except (BagError, CalibrationError, MessageError) as error:
+            if isinstance(error, CalibrationError) or not self.problems:  # else it is known from the images
+                self.problems.append(error)
+            return stereo, None
+        return found.topics, found.rig
+
     def read_rig(
         self, stereo: StereoTopics | None, left_image: ImageInfo | None, right_image: ImageInfo | None
     ) -> StereoRig | None:
@@ -164,7 +187,8 @@ class _Inspection:
                 TopicError(
                     f"no CameraInfo topics for {stereo.left_image} and {stereo.right_image}",
                     value=(stereo.left_info, stereo.right_info),
-                    remedy="record the camera infos too",
+                    remedy="record the camera infos too, or give calibration files",
+                    settings=("camera_info",),
                 )
             )
             return None

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
+from stereo_depth_ros.bags.file_infos import file_infos
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
@@ -21,7 +22,7 @@ from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.calibration_history import CalibrationHistory
 from stereo_depth_ros.core.camera_info import camera_from_info
-from stereo_depth_ros.core.errors import BagError, ConfigError, MessageError, TopicError
+from stereo_depth_ros.core.errors import BagError, ConfigError, MessageError, StereoDepthError, TopicError
 from stereo_depth_ros.core.pairing import PairingCounts, StereoPairing
 from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.types import StereoPair
@@ -46,6 +47,8 @@ class BagSelection:
         start_seconds: where to begin, seconds after the first message of the bag.
         duration_seconds: how much to read, seconds; 0 reads to the end.
         side_by_side: both images are in one topic, ``left`` or ``right``, the left one in the left half.
+        camera_files: calibration files that are read instead of the camera infos of the bag; see
+            :func:`read_rig_files`.
     """
 
     path: Path
@@ -54,6 +57,7 @@ class BagSelection:
     start_seconds: float = 0.0
     duration_seconds: float = 0.0
     side_by_side: bool = False
+    camera_files: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("start_seconds", "duration_seconds"):
@@ -198,6 +202,7 @@ class BagPairs:
     Raises:
         BagError, TopicError: no bag, no stereo pair in it, or no camera infos.
         ConfigError: the part begins after the end of the bag.
+        CalibrationError, MessageError: calibration files that are not those of its images.
     """
 
     def __init__(self, selection: BagSelection, pairing: PairingConfig) -> None:
@@ -205,10 +210,11 @@ class BagPairs:
         self._pairing_config = pairing
         self._types = RosbagsTypes()
         self._reader = BagReader(selection.path)
+        self._file_infos: dict[str, bytes] = {}
         try:
             self.topics, self._info_topics = self._find_topics()
             share, self.part = self._part()
-        except (ConfigError, TopicError):
+        except StereoDepthError:
             self._reader.close()
             raise
         self._images = CameraImages(self._reader, self.topics)
@@ -302,17 +308,24 @@ class BagPairs:
     def _find_topics(self) -> tuple[StereoTopics, tuple[str, str]]:
         chosen = self._selection
         topics = bag_topics(self._reader, chosen.left, chosen.right, side_by_side=chosen.side_by_side)
+        if chosen.camera_files:
+            found = file_infos(self._reader, topics, chosen.camera_files)
+            self._file_infos = dict(zip(found.rig.topics, found.messages(self._types), strict=True))
+            return found.topics, found.rig.topics
         if topics.left_info is None or topics.right_info is None:
             missing = topics.left_image if topics.left_info is None else topics.right_image
             raise TopicError(
                 f"no CameraInfo topic belongs to {missing}, topics of the bag are {', '.join(self._reader.topics)}",
                 subject=str(self._selection.path),
                 value=missing,
-                remedy="record the camera infos too",
+                remedy="record the camera infos too, or give calibration files",
+                settings=("camera_info",),
             )
         return topics, (topics.left_info, topics.right_info)
 
     def _first_infos(self) -> dict[str, bytes]:
+        if self._file_infos:
+            return self._file_infos
         infos = {}
         for topic in self._info_topics:
             stamped = StampedMessages()
@@ -322,7 +335,8 @@ class BagPairs:
                     f"{topic} has no messages",
                     subject=str(self._selection.path),
                     value=topic,
-                    remedy="record the camera infos too",
+                    remedy="record the camera infos too, or give calibration files",
+                    settings=("camera_info",),
                 )
             infos[topic] = self._info_of_images(first)
         return infos
@@ -337,7 +351,7 @@ class BagPairs:
     def _messages(self) -> Iterator[BagMessage]:
         start_ns = self._reader.start_ns + round(1e9 * self._selection.start_seconds)
         duration_ns = round(1e9 * self._selection.duration_seconds)
-        wanted = [*self._images.names, *self._info_topics]
+        wanted = [*self._images.names, *(() if self._file_infos else self._info_topics)]
         first_ns = start_ns if self._selection.start_seconds else None
         return self._reader.messages(wanted, first_ns, start_ns + duration_ns if duration_ns else None)
 

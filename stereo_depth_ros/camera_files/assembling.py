@@ -31,7 +31,7 @@ def rig_of(files: Sequence[StoredFile], size: Size | None) -> StereoRig:
     """
     for file in files:
         if file.build is not None:
-            return _labeled(file.build(size), (file.source, file.source))
+            return _labeled(file.build(size), (f"{file.source}: left", f"{file.source}: right"))
     found = [(file, camera) for file in files for camera in file.cameras]
     if len(found) != 2:
         raise _incomplete(files, len(found))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files of camodocal and VINS: a camera each, and their poses in ``extrinsics.yaml`` or in the settings of VINS.
+"""Files of camodocal and VINS: a camera each, and their poses in a file of their own or in the settings of VINS.
 
 Heng, Li and Pollefeys, "CamOdoCal: automatic intrinsic and extrinsic calibration of a rig with multiple generic
 cameras and odometry", IROS 2013.
@@ -18,6 +18,7 @@ from stereo_depth_ros.camera_files.stored import StoredCamera, StoredFile
 from stereo_depth_ros.camera_files.values import rigid
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.plain_values import entry, number, whole
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 
 __all__ = [
@@ -61,7 +62,7 @@ def read_camera(document: Document) -> StoredFile:
     if model not in _MODELS:
         kind = ", an omnidirectional camera" if model == "MEI" else ""
         raise CalibrationError(
-            f"{CAMODOCAL} of model_type {model[:40]!r}{kind}",
+            f"{CAMODOCAL} of model_type {quoted(model)}{kind}",
             value=model,
             limit=tuple(_MODELS),
             remedy="calibrate with PINHOLE, or a fisheye with KANNALA_BRANDT",

@@ -12,6 +12,7 @@ from stereo_depth_ros.camera_files.stored import StoredCamera, StoredFile
 from stereo_depth_ros.camera_files.values import camera_matrix, image_size, matrix, rigid
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.plain_values import entry
+from stereo_depth_ros.core.quoted import quoted
 
 __all__ = ["EUROC", "is_sensor", "read_sensor"]
 
@@ -35,7 +36,7 @@ def read_sensor(document: Document) -> StoredFile:
     model = entry(values, "distortion_model")
     if model not in _MODELS:
         raise CalibrationError(
-            f"distortion_model = {str(model)[:40]!r} is not supported, supported is {' or '.join(_MODELS)}",
+            f"distortion_model = {quoted(model)} is not supported, supported is {' or '.join(_MODELS)}",
             value=model,
             limit=tuple(_MODELS),
             remedy="calibrate with this model",

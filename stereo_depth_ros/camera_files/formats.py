@@ -11,6 +11,7 @@ from stereo_depth_ros.camera_files import camodocal, euroc, kalibr, kitti, middl
 from stereo_depth_ros.camera_files.documents import Document, read_documents
 from stereo_depth_ros.camera_files.stored import StoredFile
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.quoted import quoted
 
 __all__ = ["FORMATS", "Format", "read_document"]
 
@@ -33,12 +34,12 @@ def _read_vins(document: Document) -> StoredFile:
     def read_beside(name: str) -> StoredFile:
         if document.folder is None:
             raise CalibrationError(
-                f"names {name[:80]!r}, which is not in the archive", remedy="give the files unpacked"
+                f"names {quoted(name)}, which is not in the archive", remedy="give the files unpacked"
             )
         documents = read_documents(document.folder / name)
         if len(documents) != 1 or not camodocal.is_camera(documents[0]):
             raise CalibrationError(
-                f"{name[:80]!r} is not a {camodocal.CAMODOCAL}", remedy="give the file of the camera"
+                f"{quoted(name)} is not a {camodocal.CAMODOCAL}", remedy="give the file of the camera"
             )
         return camodocal.read_camera(documents[0])
 
@@ -75,7 +76,7 @@ def read_document(document: Document) -> StoredFile:
                 return form.read(document)
             except CalibrationError as error:
                 raise error if error.subject.startswith(document.source) else error.about(document.source) from error
-    keys = ", ".join(repr(key[:30]) for key in list(document.values)[:5])
+    keys = ", ".join(quoted(key) for key in list(document.values)[:5])
     raise CalibrationError(
         f"is not a calibration of a known format, it has {keys or 'other text'}",
         subject=document.source,

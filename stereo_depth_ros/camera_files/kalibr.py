@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Camera chains of Kalibr (``camchain.yaml``) and of OpenVINS, which has the same keys.
+"""Camera chains of Kalibr (camchain) and of OpenVINS, which has the same keys.
 
 Intrinsics are fu, fv, pu, pv; ``T_cn_cnm1`` takes cam0 to cam1; ``T_cam_imu`` and ``T_imu_cam`` are poses to the IMU.
 """
@@ -18,6 +18,7 @@ from stereo_depth_ros.camera_files.stored import Pose, StoredCamera, StoredFile
 from stereo_depth_ros.camera_files.values import camera_matrix, image_size, pose_of, rigid
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.plain_values import entry, numbers
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["KALIBR", "is_camchain", "read_camchain"]
@@ -53,14 +54,17 @@ def read_camchain(document: Document) -> StoredFile:
 
 
 def _pose(values: Any) -> Pose | None:
-    return pose_of(rigid(values["T_cn_cnm1"], "T_cn_cnm1")) if "T_cn_cnm1" in values else None
+    has_pose = isinstance(values, Mapping) and "T_cn_cnm1" in values
+    return pose_of(rigid(values["T_cn_cnm1"], "T_cn_cnm1")) if has_pose else None
 
 
 def _camera(name: str, values: Any) -> StoredCamera:
-    model = str(entry(values, "camera_model")) if "camera_model" in values else "pinhole"
+    if not isinstance(values, Mapping):
+        raise CalibrationError(f"{KALIBR}, but {name} holds no keys", remedy="write it again")
+    model = str(values.get("camera_model", "pinhole"))
     if model != "pinhole":
         raise CalibrationError(
-            f"{KALIBR} of a camera of model {model[:40]!r} ({name}), which has no pinhole",
+            f"{KALIBR} of a camera of model {quoted(model)} ({name}), which has no pinhole",
             value=model,
             limit="pinhole",
             remedy="calibrate with pinhole-radtan or pinhole-equi",
@@ -73,7 +77,7 @@ def _camera(name: str, values: Any) -> StoredCamera:
         return StoredCamera(name, K, "equidistant", D, size, body=_body(values, name))
     if lens not in _MODELS:
         raise CalibrationError(
-            f"{KALIBR} with distortion_model {lens[:40]!r} ({name})",
+            f"{KALIBR} with distortion_model {quoted(lens)} ({name})",
             value=lens,
             limit=(*_MODELS, "fov"),
             remedy="calibrate with pinhole-radtan or pinhole-equi",

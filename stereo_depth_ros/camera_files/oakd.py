@@ -17,6 +17,7 @@ from stereo_depth_ros.camera_files.stored import Pose, Size, StoredCamera, Store
 from stereo_depth_ros.camera_files.values import inverse, rotation
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.plain_values import entry, number, numbers, whole
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
 
 __all__ = ["DEPTHAI", "STEREODEMO", "is_depthai", "is_stereodemo", "read_depthai", "read_stereodemo"]
@@ -93,7 +94,7 @@ def _camera(values: Any, name: str) -> StoredCamera:
     kind = entry(values, "cameraType") if "cameraType" in values else _PERSPECTIVE
     if kind not in (_PERSPECTIVE, _FISHEYE):
         raise CalibrationError(
-            f"{DEPTHAI} with a camera of cameraType {str(kind)[:20]} ({name})",
+            f"{DEPTHAI} with a camera of cameraType {quoted(kind)} ({name})",
             value=kind,
             limit=(_PERSPECTIVE, _FISHEYE),
             remedy="calibrate it as perspective or fisheye",

@@ -19,6 +19,7 @@ from stereo_depth_ros.camera_files.stored import Pose, Size, StoredCamera, Store
 from stereo_depth_ros.camera_files.values import image_size, matrix, rotation
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.plain_values import number, whole
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["OPENCV", "is_opencv", "read_opencv"]
@@ -145,7 +146,7 @@ def _model(values: _Values, D: F64, name: str) -> str:
             stated = values[key][1]
             if stated.lower() not in _MODELS:
                 raise CalibrationError(
-                    f"{OPENCV} with {values[key][0]} {stated[:40]!r}",
+                    f"{OPENCV} with {values[key][0]} {quoted(stated)}",
                     value=stated,
                     limit=tuple(_MODELS),
                     remedy="write one of them",

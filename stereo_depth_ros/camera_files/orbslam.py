@@ -15,6 +15,7 @@ from stereo_depth_ros.camera_files.stored import Size, StoredCamera, StoredFile
 from stereo_depth_ros.camera_files.values import inverse, pose_of, rigid
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.plain_values import entry, number, whole
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
 
 __all__ = ["ORB_SLAM", "is_settings", "read_settings"]
@@ -37,7 +38,7 @@ def read_settings(document: Document) -> StoredFile:
     values, model = document.values, str(document.values["Camera.type"])
     if model not in _COEFFICIENTS:
         raise CalibrationError(
-            f"{ORB_SLAM} with Camera.type {model[:40]!r}",
+            f"{ORB_SLAM} with Camera.type {quoted(model)}",
             value=model,
             limit=tuple(_COEFFICIENTS),
             remedy="write one of them",

@@ -13,6 +13,7 @@ from stereo_depth_ros.camera_files.documents import Document
 from stereo_depth_ros.camera_files.stored import StoredCamera, StoredFile
 from stereo_depth_ros.core.camera_yaml import camera_from_entries
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["INI", "YAML", "is_ini", "is_yaml", "read_ini", "read_yaml"]
@@ -86,7 +87,9 @@ def _numbers(values: dict[str, list[str]], key: str, counts: tuple[int, ...]) ->
     try:
         found = np.array([float(word) for word in words], np.float64)
     except ValueError as error:
-        raise CalibrationError(f"a value is not a number ({key}: {words[0][:40]!r})", remedy="write numbers") from error
+        raise CalibrationError(
+            f"a value is not a number ({key}: {quoted(words[0])})", remedy="write numbers"
+        ) from error
     if found.size not in counts or not np.isfinite(found).all() or (counts == (1,) and not 1 <= found[0] <= 65535):
         raise CalibrationError(
             f"{key} has {found.size} numbers, not {' or '.join(map(str, counts))}"

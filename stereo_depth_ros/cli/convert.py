@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`stereo-depth convert ...`: writes datasets and folders of images as bags."""
+"""`stereo-depth convert ...`: writes datasets and folders of images as bags, calibrations as those of ROS."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from typing import Annotated
 
 import typer
 
-from stereo_depth_ros.cli.given import refuse_ignored
+from stereo_depth_ros.calibration.calibration_files import write_camera
+from stereo_depth_ros.camera_files.reading import read_rig_files, rig_file_paths
+from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, ImageSize, parse_size
+from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
 from stereo_depth_ros.cli.options import Overwrite, new_app
 from stereo_depth_ros.cli.output import progress_bar, tell, warn
 from stereo_depth_ros.core.errors import ConfigError
@@ -19,6 +22,7 @@ from stereo_depth_ros.datasets.images import ImagesDataset
 from stereo_depth_ros.datasets.kitti import KittiDataset
 from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
 from stereo_depth_ros.datasets.to_bag import convert_dataset
+from stereo_depth_ros.files.output import check_outputs
 
 __all__ = ["app"]
 
@@ -100,16 +104,11 @@ def euroc(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
     _convert(EurocDataset(folder), output, 20.0, overwrite)
 
 
-@app.command()
+@app.command(cls=CommandWithCameraInfo)
 def images(
     folder: Folder,
     output: Output,
-    left_yaml: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Use this left calibration instead of DIR/left.yaml.")
-    ] = None,
-    right_yaml: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Use this right calibration instead of DIR/right.yaml.")
-    ] = None,
+    camera_info: CameraInfo = None,
     side_by_side: Annotated[
         bool, typer.Option("--side-by-side", help="Read both images from each file, the left one from its left half.")
     ] = False,
@@ -118,17 +117,55 @@ def images(
 ) -> None:
     """Convert a folder of images.
 
-    The calibration is read from two YAML files in the format of camera_calibration. The images are in DIR/left and
+    The calibration is that of left.yaml and right.yaml in DIR, or of other files. The images are in DIR/left and
     DIR/right, or named left*.png and right*.png. Two images form a pair if their names differ only in left and right,
     l and r, cam0 and cam1 or image_0 and image_1, and in leading zeros. Images without a partner are skipped with a
     warning.
 
     \b
     Example:
-      stereo-depth convert images recording drive.mcap --left-yaml left.yaml --right-yaml right.yaml --rate 15
+      stereo-depth convert images recording drive.mcap --camera-info left.yaml right.yaml --rate 15
     """
-    dataset = ImagesDataset(folder, left_yaml=left_yaml, right_yaml=right_yaml, side_by_side=side_by_side)
+    dataset = ImagesDataset(folder, camera_info or (), side_by_side=side_by_side)
     _convert(dataset, output, rate, overwrite)
+
+
+@app.command()
+def calibration(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LEFT RIGHT", help="Read these calibration files, one that holds both, or their folder."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Write the files to this folder.")],
+    size: ImageSize = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write left.yaml and right.yaml of camera_calibration.
+
+    The files are those of camera_calibration, Kalibr, OpenCV, camodocal, VINS, DepthAI and others, see
+    docs/calibration.md. Where they hold no rectification, it is computed as for a new calibration.
+
+    \b
+    Examples:
+      stereo-depth convert calibration camchain.yaml -o calibration
+      stereo-depth convert calibration intrinsics.yml extrinsics.yml --size 640x480 -o calibration
+    """
+    refuse_files("--output", output)
+    paths, wanted = [output / "left.yaml", output / "right.yaml"], parse_size(size)
+    check_outputs(paths, rig_file_paths(files), overwrite=overwrite)
+    rig = read_rig_files(files, wanted)
+    if wanted is not None:
+        rig.check_image(*wanted, "--size")
+    output.mkdir(parents=True, exist_ok=True)
+    for path, camera, side in zip(paths, (rig.left, rig.right), ("left", "right"), strict=True):
+        write_camera(path, camera, side, overwrite=overwrite)
+    names = " and ".join(dict.fromkeys(rig.topics))
+    tell(
+        f"{rig.left.distortion_model}, {rig.width}x{rig.height}, baseline {rig.baseline_m:.6g} m of {names} written to "
+        f"{paths[0]} and {paths[1]}"
+    )
 
 
 def _convert(dataset: StereoDataset, output: Path, rate_hz: float, overwrite: bool) -> None:

@@ -13,6 +13,8 @@ from rich.text import Text
 
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.camera_files.reading import rig_file_paths
+from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.errors import param_options
 from stereo_depth_ros.cli.given import is_given, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Left, Overwrite, Right, SideBySide, new_app
@@ -40,7 +42,7 @@ _SHOWN = {
 }
 
 
-@app.command()
+@app.command(cls=CommandWithCameraInfo)
 def doctor(
     context: typer.Context,
     bag: Annotated[
@@ -50,6 +52,7 @@ def doctor(
     live: Annotated[
         bool, typer.Option("--live", help="Examine the running graph in the current ROS_DOMAIN_ID.")
     ] = False,
+    camera_info: CameraInfo = None,
     left: Left = None,
     right: Right = None,
     side_by_side: SideBySide = False,
@@ -85,10 +88,13 @@ def doctor(
             remedy="give a BAG, or --live for the running graph",
         )
     _check_options(context, live)
-    check_outputs((), bag_files(bag) if bag is not None else (), reports=[json_file], overwrite=overwrite)
+    inputs = [*(bag_files(bag) if bag is not None else ()), *(rig_file_paths(camera_info) if camera_info else ())]
+    check_outputs((), inputs, reports=[json_file], overwrite=overwrite)
     if bag is not None:
         with progress_bar("reading") as progress:
-            setup = survey_bag(BagSelection(bag, left, right, side_by_side=side_by_side), progress)
+            files = tuple(camera_info or ())
+            selection = BagSelection(bag, left, right, side_by_side=side_by_side, camera_files=files)
+            setup = survey_bag(selection, progress)
     else:
         setup = _listen(left, right, left_namespace, right_namespace, seconds)
     with progress_bar("matching features") as progress:
@@ -102,6 +108,7 @@ def doctor(
 
 def _check_options(context: typer.Context, live: bool) -> None:
     if live:
+        refuse_ignored(context, ["camera_info"], "with --live", "set the parameters of the nodes, or record a bag")
         refuse_ignored(context, ["side_by_side"], "with --live", "record a bag, or split the images in the driver")
     else:
         refuse_ignored(context, ("seconds", "left_namespace", "right_namespace"), "with a bag", "leave it out")

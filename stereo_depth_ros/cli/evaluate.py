@@ -8,7 +8,7 @@ import csv
 import functools
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +16,8 @@ import typer
 
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import is_bag
+from stereo_depth_ros.camera_files.reading import rig_file_paths
+from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.errors import command_options, error_text
 from stereo_depth_ros.cli.evaluate_tables import bias_warnings, evaluate_tables
 from stereo_depth_ros.cli.given import given_parameters, refuse_files
@@ -42,7 +44,7 @@ __all__ = ["app"]
 app = new_app()
 
 
-@app.command()
+@app.command(cls=CommandWithCameraInfo)
 def evaluate(
     context: typer.Context,
     places: Annotated[
@@ -56,6 +58,7 @@ def evaluate(
             autocompletion=lambda: [*MATCHERS],
         ),
     ],
+    camera_info: CameraInfo = None,
     param: Params = None,
     side_by_side: SideBySide = False,
     json_file: Json = None,
@@ -92,8 +95,9 @@ def evaluate(
     config = pipeline_config(values).matching
     for name in matcher:
         create_matcher(name, config)  # reports unknown matchers and invalid parameters before anything runs
-    sets = [_scenes(place, side_by_side) for place in places]
-    inputs = [*(path for scenes in sets for path in _files(scenes)), *parameter_files(None, values)]
+    files = rig_file_paths(camera_info) if camera_info else []
+    sets = [_scenes(place, side_by_side, camera_info or ()) for place in places]
+    inputs = [*files, *(path for scenes in sets for path in _files(scenes)), *parameter_files(None, values)]
     plot_files = list(_plot_files(plots, sets, matcher)) if plots is not None else []
     check_outputs(plot_files, inputs, reports=[json_file, csv_file], overwrite=overwrite)
     plot = functools.partial(_plot, plots, overwrite) if plots is not None else None
@@ -120,7 +124,7 @@ def _check_options(matchers: list[str], plots: Path | None, csv_file: Path | Non
         raise ConfigError("--csv - names no file", value="-", remedy="name one, or write JSON by --json -")
 
 
-def _scenes(place: Path, side_by_side: bool) -> SceneSet:
+def _scenes(place: Path, side_by_side: bool, camera_files: Sequence[Path]) -> SceneSet:
     if not place.exists():
         raise BagError("does not exist", subject=str(place), remedy="name a folder of a dataset, or a bag")
     if not place.is_file() and not is_bag(place):
@@ -128,8 +132,13 @@ def _scenes(place: Path, side_by_side: bool) -> SceneSet:
             raise ConfigError(
                 "--side-by-side has no effect with a folder", subject=str(place), remedy="leave it out, or name a bag"
             )
+        if camera_files:
+            raise ConfigError(
+                "--camera-info has no effect with a folder", subject=str(place), remedy="leave it out, or name a bag"
+            )
         return find_scenes(place)
-    selection, choice = open_selection(BagSelection(place, side_by_side=side_by_side), PairingConfig())
+    given = BagSelection(place, side_by_side=side_by_side, camera_files=tuple(camera_files))
+    selection, choice = open_selection(given, PairingConfig())
     if choice:
         warn(choice)
     return BagScenes(selection)

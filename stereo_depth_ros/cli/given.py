@@ -19,7 +19,7 @@ from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES
 __all__ = ["PIPELINE", "given_parameters", "is_given", "refuse_files", "refuse_ignored", "require_png"]
 
 # The stages whose parameters have an effect on the outputs of process and replay
-PIPELINE = ("pairing", "matching", "depth", "cloud", "rectification")
+PIPELINE = ("pairing", "camera_info", "matching", "depth", "cloud", "rectification")
 _MATCHER = "stereo_algorithm"
 _NO_FOLDER = (*IMAGE_SUFFIXES, ".yaml", ".yml", ".json", ".txt", ".csv", ".mcap", ".bag", ".db3")
 # Parameters that have an effect only where another one has this value
@@ -178,6 +178,7 @@ def _check_condition(name: str, values: Mapping[str, Any]) -> None:
 
 _PARTS: Mapping[str, str] = {
     "pairing": "the pairing",
+    "camera_info": "the camera infos",
     "matching": "the matchers",
     "depth": "the depth image",
     "cloud": "the point cloud",

@@ -9,6 +9,8 @@ import typer
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.camera_files.reading import rig_file_paths
+from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.errors import error_text
 from stereo_depth_ros.cli.info_tables import info_tables, info_values
 from stereo_depth_ros.cli.options import Bag, Json, Left, Overwrite, Right, SideBySide, new_app
@@ -21,9 +23,10 @@ __all__ = ["app"]
 app = new_app()
 
 
-@app.command()
+@app.command(cls=CommandWithCameraInfo)
 def info(
     bag: Bag,
+    camera_info: CameraInfo = None,
     left: Left = None,
     right: Right = None,
     side_by_side: SideBySide = False,
@@ -38,10 +41,15 @@ def info(
     Examples:
       stereo-depth info drive.mcap
       stereo-depth info drive.mcap --json - | jq .problems
+      stereo-depth info drive.mcap --camera-info camchain.yaml
     """
-    check_outputs((), bag_files(bag), reports=[json_file], overwrite=overwrite)
-    chosen, choice = choose_topics(BagSelection(bag, left, right, side_by_side=side_by_side))
-    found = inspect_bag(bag, left=chosen.left, right=chosen.right, side_by_side=side_by_side)
+    files = rig_file_paths(camera_info) if camera_info else []
+    check_outputs((), [*bag_files(bag), *files], reports=[json_file], overwrite=overwrite)
+    given = tuple(camera_info or ())
+    chosen, choice = choose_topics(BagSelection(bag, left, right, side_by_side=side_by_side, camera_files=given))
+    found = inspect_bag(
+        bag, left=chosen.left, right=chosen.right, side_by_side=side_by_side, camera_files=chosen.camera_files
+    )
     show(info_tables(found), info_values(found), json_file, overwrite=overwrite)
     for text in (choice, *found.warnings) if choice else found.warnings:
         warn(text)

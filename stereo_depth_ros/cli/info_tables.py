@@ -32,6 +32,8 @@ def info_tables(info: BagInfo) -> Iterator[TextTable]:
         image = info.left_image
         facts.add_row("images", f"{image.width}x{image.height} {image.encoding}")
     if info.rig is not None:
+        if info.camera_files:
+            facts.add_row("calibration", " and ".join(info.rig.topics))
         facts.add_row("rig", f"f {info.rig.f_px:.1f} px, baseline {1e3 * info.rig.baseline_m:.1f} mm")
     facts.add_row(
         "pairs", f"{info.exact_pairs} with equal stamps, {info.near_pairs} within {1e3 * info.tolerance_s:g} ms"

@@ -16,6 +16,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from stereo_depth_ros.camera_files.urls import camera_info_paths
 from stereo_depth_ros.cli.tables import TextTable, print_tables
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.kernels import compile_kernels
@@ -171,4 +172,6 @@ def show(tables: Iterable[TextTable], values: Any, json_file: Path | None, *, ov
 
 def parameter_files(params_file: Path | None, values: Mapping[str, Any]) -> list[Path]:
     """The parameter file, and the files named in parameters."""
-    return [Path(path) for path in (params_file, values.get("onnx_model")) if path]
+    left_url, right_url = (str(values.get(f"{side}_camera_info_url") or "") for side in ("left", "right"))
+    files = [Path(path) for path in (params_file, values.get("onnx_model")) if path]
+    return [*files, *camera_info_paths(left_url, right_url)]

@@ -7,6 +7,8 @@ from __future__ import annotations
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
+from stereo_depth_ros.camera_files.urls import camera_info_paths
+from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
 from stereo_depth_ros.cli.given import given_parameters
 from stereo_depth_ros.cli.options import (
     Bag,
@@ -35,10 +37,11 @@ __all__ = ["app"]
 app = new_app()
 
 
-@app.command()
+@app.command(cls=CommandWithCameraInfo)
 def process(
     bag: Bag,
     output: BagOutput,
+    camera_info: CameraInfo = None,
     matcher: Matcher = None,
     param: Params = None,
     params_file: ParamsFile = None,
@@ -59,15 +62,19 @@ def process(
     Examples:
       stereo-depth process drive.mcap -o depth.mcap
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
+      stereo-depth process drive.mcap -o depth.mcap --camera-info left.yaml right.yaml
     """
     file = read_parameters(params_file)
-    values = {**file, **given_parameters(param or (), matcher, file=file)}
+    given = given_parameters(param or (), matcher, file=file)
+    values = {**file, **given, **camera_info_values(camera_info, given)}
     check_bag_output(
         output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
     )
     config = pipeline_config(values)
+    urls = config.camera_info
+    files = camera_info_paths(urls.left_camera_info_url, urls.right_camera_info_url)
     prepare_kernels(config.matching)
-    selection = BagSelection(bag, left, right, start, duration, side_by_side)
+    selection = BagSelection(bag, left, right, start, duration, side_by_side, files)
     with progress_bar("computing") as progress:
         result = process_bag(selection, output, config, progress, overwrite=overwrite, strict=strict)
     finish_run(result, json_file, overwrite)

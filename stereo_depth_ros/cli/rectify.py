@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
+from stereo_depth_ros.cli.camera_info import CommandWithCameraInfo
 from stereo_depth_ros.cli.errors import param_options
 from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
@@ -42,7 +43,7 @@ _MIN_MATCHES = 20  # needed for a row error
 _AGREE_PX = 3.0  # matches whose row error differs more from the median are outliers
 
 
-@app.command()
+@app.command(cls=CommandWithCameraInfo)
 def rectify(
     context: typer.Context,
     left: Annotated[Path, typer.Argument(metavar="LEFT", help="Read this raw image of the left camera.")],
@@ -55,7 +56,12 @@ def rectify(
     ] = False,
     rig: Annotated[
         list[Path] | None,
-        typer.Option("--rig", metavar="FILE|DIR|BAG", help="Use this calibration: left.yaml, its folder, or a bag."),
+        typer.Option(
+            "--camera-info",
+            "--rig",
+            metavar="LEFT RIGHT",
+            help="Use this calibration: its files, their folder, or a bag.",
+        ),
     ] = None,
     uncalibrated: Annotated[
         bool, typer.Option("--uncalibrated", help="Rectify from matched features; --rig then removes distortion only.")
@@ -106,7 +112,7 @@ def rectify(
     inputs = [left, right, *(rig_files(rig) if rig else ())]
     check_outputs([output / name for name in names], inputs, reports=[json_file], overwrite=overwrite)
     images = _Pair(*(read_pair(left, right) if side_by_side else (read_image(left), read_image(right))))
-    known = read_rig(rig) if rig else None
+    known = read_rig(rig, size=(images.left.shape[1], images.left.shape[0])) if rig else None
     raw = match_features(images.left_gray, images.right_gray)
     result: dict[str, Any] = {"left": str(left), "right": str(right), "output": str(output)}
     used: StereoRig | UncalibratedRig

@@ -12,6 +12,7 @@ import typer
 
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
+from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
 from stereo_depth_ros.cli.given import PIPELINE, given_parameters, refuse_ignored
 from stereo_depth_ros.cli.live_run import run_live
 from stereo_depth_ros.cli.options import (
@@ -42,12 +43,13 @@ __all__ = ["app"]
 app = new_app()
 
 
-@app.command()
+@app.command(cls=CommandWithCameraInfo)
 def replay(
     context: typer.Context,
     bag: Bag,
     output: BagOutput,
     separate: Separate = False,
+    camera_info: CameraInfo = None,
     matcher: Matcher = None,
     param: Params = None,
     params_file: ParamsFile = None,
@@ -109,6 +111,7 @@ def replay(
         refuse_ignored(context, ["in_flight"], "with --realtime", "leave out one of them")
     shape = "separate" if separate else "fused"
     values, monitor = _parameters(param or (), matcher, params_file, health, auto_correct)
+    values |= camera_info_values(camera_info, values)
     check_bag_output(
         output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
     )

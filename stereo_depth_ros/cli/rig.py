@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from stereo_depth_ros.cli.camera_info import ImageSize, parse_size
 from stereo_depth_ros.cli.given import given_parameters, refuse_ignored, require_png
 from stereo_depth_ros.cli.options import Json, Left, Overwrite, Params, ParamsFile, Right, new_app
 from stereo_depth_ros.cli.output import parameter_files, show, warn
@@ -51,7 +52,7 @@ def rig(
     context: typer.Context,
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="LEFT.yaml RIGHT.yaml|DIR|BAG", help="Read these camera files, their folder, or a bag."),
+        typer.Argument(metavar="LEFT RIGHT|DIR|BAG", help="Read these calibration files, their folder, or a bag."),
     ],
     nearest: Annotated[
         float | None,
@@ -70,6 +71,7 @@ def rig(
     ] = None,
     param: Params = None,
     params_file: ParamsFile = None,
+    size: ImageSize = None,
     left: Left = None,
     right: Right = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Plot the depth error over the depth.")] = None,
@@ -78,8 +80,8 @@ def rig(
 ) -> None:
     """Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.
 
-    DIR contains left.yaml and right.yaml in the format of camera_calibration; if one of the two files is given, the
-    other one is read from the same folder. From a bag, the first camera infos are read.
+    The files are those of camera_calibration, Kalibr, OpenCV and others, see docs/calibration.md; beside left.yaml,
+    right.yaml is read from the same folder. From a bag, the first camera infos are read.
 
     The disparity range is the recommended one, unless min_disparity or disparity_range is set. The depth error is
     sigma_Z = Z^2 / (f B) sigma_d with sigma_d = disparity_sigma_px; the depth step is that of the matcher's
@@ -95,10 +97,12 @@ def rig(
     values = {**file, **given_parameters(param or (), matcher, file=file, stages=(), names=_USED)}
     if not is_bag_path(paths):
         refuse_ignored(context, ("left", "right"), "with camera files", "leave it out, or give a bag")
+    else:
+        refuse_ignored(context, ["size"], "with a bag, whose camera infos state it", "leave it out")
     inputs = [*rig_files(paths), *parameter_files(params_file, values)]
     check_outputs([plot] if plot is not None else [], inputs, reports=[json_file], overwrite=overwrite)
     require_png("--plot", plot)
-    rig = read_rig(paths, left, right)
+    rig = read_rig(paths, left, right, parse_size(size))
     config = pipeline_config(values)
     step_px = matcher_from_config(config.matching).step_px
     precision = Precision(step_px, config.depth.disparity_sigma_px, max_error / 100)

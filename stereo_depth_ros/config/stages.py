@@ -19,6 +19,7 @@ __all__ = [
     "CONFIGS",
     "CalibrationConfig",
     "CalibrationMonitorConfig",
+    "CameraInfoConfig",
     "CloudConfig",
     "DepthConfig",
     "PairingConfig",
@@ -57,6 +58,21 @@ class PairingConfig(Checked):
         if not self.approximate_sync:
             return 0
         return round(self.approximate_sync_tolerance_seconds * 1e9) or None
+
+
+@dataclass(frozen=True)
+class CameraInfoConfig(Checked):
+    """Calibration files in place of the camera infos."""
+
+    left_camera_info_url: str = parameter(
+        "",
+        "Calibration file of the left camera, or of both, instead of the camera info topics: file:///PATH, "
+        "package://PACKAGE/PATH or a path; empty for the topics.",
+        run_time=False,
+    )
+    right_camera_info_url: str = parameter(
+        "", "Calibration file of the right camera; empty where that of the left one holds both.", run_time=False
+    )
 
 
 @dataclass(frozen=True)
@@ -190,6 +206,7 @@ class PipelineConfig:
     depth: DepthConfig = DepthConfig()
     cloud: CloudConfig = CloudConfig()
     rectification: RectificationConfig = RectificationConfig()
+    camera_info: CameraInfoConfig = CameraInfoConfig()
 
 
 # By the names of the tables: the stages of the pipeline, and nodes beside it

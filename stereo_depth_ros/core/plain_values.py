@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["MAX_SIZE_PX", "entry", "number", "numbers", "whole"]
 
 MAX_SIZE_PX = 65535  # of an image in a calibration file
 _MOST_NUMBERS = 10_000
-_SHOWN = 40
 
 
 def entry(values: Any, *keys: str) -> Any:
@@ -99,5 +99,4 @@ def _shown(value: Any) -> str:
         return "nothing"
     if isinstance(value, (list, Mapping)):
         return "a list" if isinstance(value, list) else "a mapping"
-    text = repr(value)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return quoted(value)

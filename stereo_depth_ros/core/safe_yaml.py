@@ -8,6 +8,8 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from stereo_depth_ros.core.quoted import quoted
+
 if TYPE_CHECKING:
     from ruamel.yaml.events import Event
 
@@ -201,8 +203,9 @@ def _plain(node: YamlNode) -> Any:
         return [_plain(item) for item in node]
     values = {key: _plain(value) for key, value in node.items}
     if len(values) < len(node.items):
-        keys = [key for key, _ in node.items]
-        raise YamlError(f"the key {next(key for key in keys if keys.count(key) > 1)!r} stands twice")
+        seen: set[str] = set()
+        repeated = next(key for key, _ in node.items if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise YamlError(f"the key {quoted(repeated)} stands twice")
     return values
 
 

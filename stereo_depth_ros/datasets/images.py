@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of left and right images with the two calibration files of camera_calibration."""
+"""Folders of left and right images with calibration files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from stereo_depth_ros.camera_files.reading import read_rig_files, rig_file_paths
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.datasets.dataset import DatasetFrame
@@ -25,7 +26,7 @@ class ImagesDataset:
 
     Args:
         folder: holds the images, and ``left.yaml`` and ``right.yaml``.
-        left_yaml, right_yaml: other calibration files.
+        camera_files: other calibration files, of any known format.
         side_by_side: each file holds both images.
 
     Raises:
@@ -35,26 +36,20 @@ class ImagesDataset:
 
     has_stamps = False
 
-    def __init__(
-        self,
-        folder: Path,
-        *,
-        left_yaml: Path | None = None,
-        right_yaml: Path | None = None,
-        side_by_side: bool = False,
-    ) -> None:
+    def __init__(self, folder: Path, camera_files: Sequence[Path] = (), *, side_by_side: bool = False) -> None:
         found = find_image_pairs(folder, side_by_side=True) if side_by_side else _find_pairs(folder)
-        files = left_yaml or folder / "left.yaml", right_yaml or folder / "right.yaml"
-        if missing := [str(path) for path in files if not path.exists()]:
+        files = camera_files or (folder / "left.yaml", folder / "right.yaml")
+        if not camera_files and (missing := [str(path) for path in files if not path.exists()]):
             raise BagError(
                 f"no calibration {', '.join(missing)}",
                 value=missing,
-                remedy="write it with camera_calibration, or name another file",
-                settings=("left_yaml", "right_yaml"),
+                remedy="write it with camera_calibration, or name other files",
+                settings=("camera_info",),
             )
         self._pairs, self.skipped, self.warnings = found.pairs, len(found.skipped), found.warnings
-        self.files = [*files, *(path for pair in found.pairs for path in pair), *found.skipped]
-        self.rig = _named(StereoRig.from_yaml(*files))
+        self.files = [*rig_file_paths(files), *(path for pair in found.pairs for path in pair), *found.skipped]
+        height, width = read_pair(*self._pairs[0])[0].shape[:2]
+        self.rig = _named(read_rig_files(files, (width, height)))
         self._frame(*self._pairs[0])
 
     def __len__(self) -> int:

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
+from stereo_depth_ros.bags.file_infos import file_infos
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
@@ -36,12 +38,18 @@ def survey_bag(selection: BagSelection, progress: Callable[[int, int], None] = l
     Raises:
         BagError: not a readable bag.
         TopicError: no stereo pair in it.
+        CalibrationError, MessageError: calibration files that are not those of its images.
     """
     chosen, note = choose_topics(selection)
     with BagReader(chosen.path) as reader:
         topics = bag_topics(reader, chosen.left, chosen.right, side_by_side=chosen.side_by_side)
-        cameras = CameraImages(reader, topics)
-        survey = Survey(str(chosen.path), topics, RosbagsTypes().deserialize)
+        cameras, types = CameraImages(reader, topics), RosbagsTypes()
+        infos = file_infos(reader, topics, chosen.camera_files) if chosen.camera_files else None
+        survey = Survey(str(chosen.path), topics if infos is None else infos.topics, types.deserialize)
+        if infos is not None:
+            topics = replace(topics, left_info=None, right_info=None)  # those of the bag are not read
+            for side, data in zip(("left", "right"), infos.messages(types), strict=True):
+                survey.add_info(side, data)
         if note:
             survey.findings.append(Finding("topics", Level.WARNING, note, "the preferred ones fit", CHOICE_REMEDY))
         images = _read(reader, topics, cameras, survey, progress)

@@ -71,6 +71,7 @@ class StereoNode(Node):  # type: ignore[misc]
     Attributes:
         interface: its name, the types of its topics, and its configs, of which PairingConfig is one.
         matcher: name of the matcher; empty without one.
+        sources: what is read from files instead of a topic, for the line of the inputs in the log.
         frames: of a node whose frames overlap, see :meth:`overlap_frames`; else None.
 
     Raises:
@@ -89,6 +90,7 @@ class StereoNode(Node):  # type: ignore[misc]
         self.diagnostics = NodeDiagnostics(self)
         self._outputs: list[Output] = []
         self._inputs: list[Input] = []
+        self.sources: list[str] = []
         self.frames: Overlap[Any, Any, Any] | None = None
         self.on_idle: list[Callable[[], object]] = []  # called when the last output loses its last subscriber
         self._awake = False
@@ -190,6 +192,7 @@ class StereoNode(Node):  # type: ignore[misc]
         parts = ["ready", *([f"matcher {self.matcher}"] if self.matcher else [])]
         parts.append("publishing" if self._awake else "waiting for a subscriber of")
         outputs = ", ".join(output.topic for output in self._outputs)
+        inputs = "; ".join((inputs, *self.sources))
         return [f"inputs: {inputs}", f"{'; '.join(parts)} {outputs}"]
 
     def _follow_demand(self) -> None:

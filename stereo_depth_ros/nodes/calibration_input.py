@@ -8,16 +8,20 @@ import contextlib
 import functools
 import operator
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 
-from stereo_depth_ros.config import PairingConfig
+from stereo_depth_ros.camera_files.reading import read_rig_files
+from stereo_depth_ros.camera_files.urls import camera_info_paths
+from stereo_depth_ros.config import CameraInfoConfig, PairingConfig
 from stereo_depth_ros.core.calibration_history import CalibrationHistory
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 
@@ -50,6 +54,8 @@ class CalibrationInput:
     waits for the camera infos of its own stamps, and is dropped without them: no other ones tell which of the cameras
     it is of.
 
+    With the parameters of :class:`CameraInfoConfig` they are those of calibration files, and no topic is subscribed.
+
     Args:
         node: subscribes left/camera_info and right/camera_info.
         rectified: the images of the node are rectified already: K, D and R only tell which of their pixels have a
@@ -63,10 +69,16 @@ class CalibrationInput:
         self._timer = node.create_timer(
             _LONGEST_WAIT_S, self._end_waiting, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+        self._of_files: tuple[Any, Any] | None = None
+        self._names = (node.resolve_topic_name(_TOPICS[0]), node.resolve_topic_name(_TOPICS[1]))
+        urls = node.parameters.get(CameraInfoConfig)
+        if files := camera_info_paths(urls.left_camera_info_url, urls.right_camera_info_url):
+            self._read(files)
+        else:
+            node.refuse_equal_topics(*_TOPICS)
+            for side, topic in enumerate(_TOPICS):
+                node.add_input(topic, functools.partial(self._receive, side))
         self._forget()
-        node.refuse_equal_topics(*_TOPICS)
-        for side, topic in enumerate(_TOPICS):
-            node.add_input(topic, functools.partial(self._receive, side))
         node.on_idle.append(self._forget)
         node.diagnostics.watch_loss(_LATE, self._cause_of_late_infos)
 
@@ -105,9 +117,22 @@ class CalibrationInput:
         self._timer.cancel()
         self._waiting.clear()
         self._infos: CalibrationHistory[Any] = CalibrationHistory()
+        for side, info in enumerate(self._of_files or ()):
+            self._infos.add(side, 0, info_contents(info), info)
         self._used_ns = [-1, -1]  # newest stamps whose camera infos were used
         self._built_from: tuple[Any, Any] | None = None
         self._rig: StereoRig | None = None
+
+    def _read(self, files: Sequence[Path]) -> None:
+        try:
+            rig = read_rig_files(files)
+        except CalibrationError as error:
+            error.settings += ("left_camera_info_url", "right_camera_info_url")
+            raise
+        types = self._node.types
+        self._of_files = camera_info_message(types, rig.left, 0), camera_info_message(types, rig.right, 0)
+        self._names = rig.topics
+        self._node.sources.append(f"calibration of {' and '.join(dict.fromkeys(rig.topics))}")
 
     def _receive(self, side: int, info: Any) -> None:
         stamp = stamp_ns(info.header, self._node.resolve_topic_name(_TOPICS[side]))
@@ -180,12 +205,11 @@ class CalibrationInput:
         return self._rig
 
     def _build_rig(self, left: Any, right: Any) -> StereoRig:
-        topics = (self._node.resolve_topic_name(_TOPICS[0]), self._node.resolve_topic_name(_TOPICS[1]))
         try:
             if self._rectified:
                 with contextlib.suppress(CalibrationError):
-                    return StereoRig.from_infos(left, right, topics)
-            return StereoRig.from_infos(left, right, topics, rectified=self._rectified)
+                    return StereoRig.from_infos(left, right, self._names)
+            return StereoRig.from_infos(left, right, self._names, rectified=self._rectified)
         except CalibrationError:
             self._node.diagnostics.counters["dropped without calibration"] += 1
             raise

@@ -15,10 +15,12 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from stereo_depth_ros.calibration.auto_correction import AutoCorrection, Correction
 from stereo_depth_ros.calibration.misalignment import CorrectionLimits, Misalignment, MisalignmentEstimator
 from stereo_depth_ros.calibration.row_error import RowMatches, match_rows
-from stereo_depth_ros.config import CalibrationMonitorConfig, PairingConfig
+from stereo_depth_ros.config import CalibrationMonitorConfig, CameraInfoConfig, PairingConfig
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import sensor_intrinsics
+from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
@@ -55,7 +57,7 @@ class CalibrationMonitor(StereoNode):
 
     interface = NodeInterface(
         "calibration_monitor",
-        configs=(PairingConfig, CalibrationMonitorConfig),
+        configs=(PairingConfig, CameraInfoConfig, CalibrationMonitorConfig),
         inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
         outputs={
             "health/row_error": "std_msgs/msg/Float64MultiArray",
@@ -69,6 +71,14 @@ class CalibrationMonitor(StereoNode):
         super().__init__()
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._config = self.parameters.get(CalibrationMonitorConfig)
+        if self._config.auto_correct and (url := self.parameters.get(CameraInfoConfig).left_camera_info_url):
+            raise ConfigError(
+                f"auto_correct corrects camera infos of topics, not those of the file {quoted(url)}",
+                value=url,
+                limit="",
+                remedy="publish the camera infos, or leave auto_correct out",
+                settings=("auto_correct", "left_camera_info_url"),
+            )
         self._calibration = CalibrationInput(self, rectified=True)
         self._row_error = self.add_output("health/row_error")
         self._watch: _Watch | None = None

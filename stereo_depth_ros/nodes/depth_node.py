@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stereo_depth_ros.config import DepthConfig, PairingConfig
+from stereo_depth_ros.config import CameraInfoConfig, DepthConfig, PairingConfig
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.camera_info import rectified_camera_info
 from stereo_depth_ros.messages.depth import depth_message
@@ -27,7 +27,7 @@ class DepthNode(StereoNode):
 
     interface = NodeInterface(
         "depth_node",
-        configs=(PairingConfig, DepthConfig),
+        configs=(PairingConfig, CameraInfoConfig, DepthConfig),
         inputs={**CAMERA_INFOS, "disparity": "stereo_msgs/msg/DisparityImage"},
         outputs={"depth/image_rect": "sensor_msgs/msg/Image", "depth/camera_info": "sensor_msgs/msg/CameraInfo"},
     )

@@ -8,7 +8,7 @@ import functools
 from concurrent.futures import Future
 from typing import Any, NamedTuple
 
-from stereo_depth_ros.config import MatchingConfig, PairingConfig
+from stereo_depth_ros.config import CameraInfoConfig, MatchingConfig, PairingConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, MatchResult, StereoPair
@@ -51,7 +51,7 @@ class DisparityNode(StereoNode):
 
     interface = NodeInterface(
         "disparity_node",
-        configs=(PairingConfig, MatchingConfig),
+        configs=(PairingConfig, CameraInfoConfig, MatchingConfig),
         inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
         outputs={"disparity": "stereo_msgs/msg/DisparityImage"},
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from stereo_depth_ros.config import CloudConfig, MatchingConfig, PairingConfig
+from stereo_depth_ros.config import CameraInfoConfig, CloudConfig, MatchingConfig, PairingConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
@@ -29,7 +29,7 @@ class FeatureNode(StereoNode):
 
     interface = NodeInterface(
         "feature_node",
-        configs=(PairingConfig, MatchingConfig, CloudConfig),
+        configs=(PairingConfig, CameraInfoConfig, MatchingConfig, CloudConfig),
         inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
         outputs={"features/points2": "sensor_msgs/msg/PointCloud2"},
     )

@@ -14,7 +14,7 @@ from stereo_depth_ros.bags.pairs import BagPairs
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.diagnosis.opening import open_selection
 from stereo_depth_ros.nodes.readiness import wait_until_ready
-from stereo_depth_ros.nodes.replay_node import check_recording, replay
+from stereo_depth_ros.nodes.replay_node import check_recording, replay, selected
 from stereo_depth_ros.nodes.transport import prepare_process
 from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.graph_processes import GraphProcesses
@@ -23,6 +23,7 @@ from stereo_depth_ros.replay.options import ReplayOptions
 __all__ = ["replay_through_graph"]
 
 # Topics of a camera that the nodes of either shape subscribe.
+_URLS = ("left_camera_info_url", "right_camera_info_url")
 _CAMERA_INPUTS = ("camera_info", "image_raw", "image_raw/compressed", "image_rect", "image_rect_color")
 
 
@@ -52,11 +53,12 @@ def replay_through_graph(
         GraphError: a node ended, or no output arrives.
     """
     check_recording(options)
-    chosen, choice = open_selection(options.selection, config.pairing)
+    chosen, choice = open_selection(selected(options, config), config.pairing)
     options = replace(options, left_topic=chosen.left or "", right_topic=chosen.right or "")
     with BagPairs(chosen, config.pairing) as pairs:
         transport = "compressed" if pairs.topics.compressed else "raw"
-    all_parameters = {**parameters, "image_transport": transport}
+    # The camera infos of calibration files are published by the replay
+    all_parameters = {**parameters, "image_transport": transport, **dict.fromkeys(_URLS, "")}
     if not options.realtime:
         all_parameters |= _reliable_inputs()
     if options.clock:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stereo_depth_ros.config import CloudConfig, PairingConfig
+from stereo_depth_ros.config import CameraInfoConfig, CloudConfig, PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.rig import StereoRig
@@ -37,7 +37,7 @@ class PointCloudNode(StereoNode):
 
     interface = NodeInterface(
         "point_cloud_node",
-        configs=(PairingConfig, CloudConfig),
+        configs=(PairingConfig, CameraInfoConfig, CloudConfig),
         inputs={**CAMERA_INFOS, "disparity": "stereo_msgs/msg/DisparityImage", _COLOR: "sensor_msgs/msg/Image"},
         outputs={"points2": "sensor_msgs/msg/PointCloud2"},
     )

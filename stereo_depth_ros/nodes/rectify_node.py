@@ -10,7 +10,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from stereo_depth_ros.config import PairingConfig, RectificationConfig
+from stereo_depth_ros.config import CameraInfoConfig, PairingConfig, RectificationConfig
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import Frame
 from stereo_depth_ros.messages.image import image_message
@@ -36,7 +36,7 @@ class RectifyNode(StereoNode):
 
     interface = NodeInterface(
         "rectify_node",
-        configs=(PairingConfig, RectificationConfig),
+        configs=(PairingConfig, CameraInfoConfig, RectificationConfig),
         inputs=CAMERA_INFOS | RAW_IMAGES,
         outputs={
             f"{side}/{name}": "sensor_msgs/msg/Image"

@@ -19,10 +19,11 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
-from stereo_depth_ros.bags.pairs import BagPairs
+from stereo_depth_ros.bags.pairs import BagPairs, BagSelection
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
-from stereo_depth_ros.config import PairingConfig, PipelineConfig, parameter_infos
+from stereo_depth_ros.camera_files.urls import camera_info_paths
+from stereo_depth_ros.config import CameraInfoConfig, PairingConfig, PipelineConfig, parameter_infos
 from stereo_depth_ros.core.errors import CalibrationError, CameraOrderError, GraphError, StereoDepthError
 from stereo_depth_ros.core.interrupts import handled_signals
 from stereo_depth_ros.diagnosis.opening import open_selection
@@ -40,12 +41,16 @@ from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport
 from stereo_depth_ros.replay.options import ReplayOptions
 
-__all__ = ["INTERFACE", "check_recording", "main", "play", "replay"]
+__all__ = ["INTERFACE", "check_recording", "main", "play", "replay", "selected"]
 
 _END_S = 1.5  # after a signal, to remove the recording
 _DIAGNOSTICS_TIMEOUT_S = 2.5  # nodes publish their timings once a second
 INTERFACE = NodeInterface(
-    "replay_node", configs=(ReplayOptions, PairingConfig), inputs=SUBSCRIBED, outputs=PUBLISHED, lazy=False
+    "replay_node",
+    configs=(ReplayOptions, PairingConfig, CameraInfoConfig),
+    inputs=SUBSCRIBED,
+    outputs=PUBLISHED,
+    lazy=False,
 )
 # Parameters by the names that errors use
 _PARAMETERS = {
@@ -104,6 +109,13 @@ def check_recording(options: ReplayOptions) -> None:
         check_bag_output(options.output_path, bag_files(options.selection.path), overwrite=options.overwrite)
 
 
+def selected(options: ReplayOptions, config: PipelineConfig) -> BagSelection:
+    """What is read of the bag, and the calibration files that are read instead of its camera infos."""
+    urls = config.camera_info
+    files = camera_info_paths(urls.left_camera_info_url, urls.right_camera_info_url)
+    return dataclasses.replace(options.selection, camera_files=files)
+
+
 def play(
     node: Node,
     options: ReplayOptions,
@@ -113,7 +125,7 @@ def play(
 ) -> RunReport:
     """As :func:`replay`, with an existing node."""
     check_recording(options)
-    selection, choice = open_selection(options.selection, config.pairing)
+    selection, choice = open_selection(selected(options, config), config.pairing)
     with BagPairs(selection, config.pairing) as pairs:
         with Recorder(options.output_path, overwrite=options.overwrite) as recorder:
             recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
@@ -182,7 +194,8 @@ def _run() -> int:
         with parameters_of_ros():
             node = Node(INTERFACE.name)
         options = _declared(node, ReplayOptions)
-        result = play(node, options, PipelineConfig(pairing=_declared(node, PairingConfig)))
+        config = PipelineConfig(pairing=_declared(node, PairingConfig), camera_info=_declared(node, CameraInfoConfig))
+        result = play(node, options, config)
         log_info(node.get_logger(), _summary(result))
         return 3 if result.lost and not result.realtime else 0
     except StereoDepthError as error:

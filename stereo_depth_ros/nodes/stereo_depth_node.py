@@ -9,6 +9,7 @@ from concurrent.futures import Future
 from typing import Any, NamedTuple
 
 from stereo_depth_ros.config import (
+    CameraInfoConfig,
     CloudConfig,
     DepthConfig,
     MatchingConfig,
@@ -46,7 +47,7 @@ class StereoDepthNode(StereoNode):
 
     interface = NodeInterface(
         "stereo_depth_node",
-        configs=(PairingConfig, MatchingConfig, DepthConfig, CloudConfig, RectificationConfig),
+        configs=(PairingConfig, CameraInfoConfig, MatchingConfig, DepthConfig, CloudConfig, RectificationConfig),
         inputs=CAMERA_INFOS | RAW_IMAGES,
         outputs={row.topic: row.msgtype for row in OUTPUTS},
     )

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
@@ -20,7 +20,12 @@ __all__ = ["read_pairs"]
 
 
 def read_pairs(
-    bag: str | Path, left: str | None = None, right: str | None = None, *, side_by_side: bool = False
+    bag: str | Path,
+    left: str | None = None,
+    right: str | None = None,
+    *,
+    side_by_side: bool = False,
+    camera_files: Sequence[str | Path] = (),
 ) -> Iterator[tuple[StereoPair, StereoRig]]:
     """The pairs of a bag in the order of their stamps, each with its rig; the same rig until a camera info changes.
 
@@ -30,6 +35,7 @@ def read_pairs(
         bag: MCAP or .db3 file, rosbag2 folder or ROS 1 bag.
         left, right: image topics; None finds them.
         side_by_side: both images are in one topic, ``left`` or ``right``, the left one in the left half.
+        camera_files: calibration files that are read instead of its camera infos.
 
     Raises:
         BagError, TopicError: no readable stereo bag.
@@ -37,7 +43,9 @@ def read_pairs(
     """
     types, pairing = RosbagsTypes(), PairingConfig()
     rigs, depth = PerCalibration(types, lambda rig: rig), BitDepth()
-    selection, note = choose_topics(BagSelection(Path(bag), left, right, side_by_side=side_by_side), pairing)
+    files = tuple(map(Path, camera_files))
+    selection = BagSelection(Path(bag), left, right, side_by_side=side_by_side, camera_files=files)
+    selection, note = choose_topics(selection, pairing)
     if note:
         warnings.warn(note, stacklevel=2)
     with BagPairs(selection, pairing) as pairs:
