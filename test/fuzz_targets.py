@@ -56,7 +56,7 @@ from stereo_depth_ros.pipeline import StereoPipeline
 from stereo_depth_ros.synthetic.bag import write_synthetic_bag
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
-__all__ = ["TARGETS", "Target", "run_case"]
+__all__ = ["FILES", "READERS", "TARGETS", "Target", "run_case"]
 
 
 def _mostly(usual: st.SearchStrategy[Any], rare: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
@@ -426,7 +426,7 @@ def _edited(text: bytes, random: np.random.Generator) -> bytes:
     return b"\n".join(lines)
 
 
-_FILES: dict[str, Callable[[], dict[str, bytes]]] = {
+FILES: dict[str, Callable[[], dict[str, bytes]]] = {
     "kitti": lambda: {
         **{f"image_{side}/00000{n}.png": _encoded()[2] for side in "01" for n in range(3)},
         **{"calib.txt": _CALIB_KITTI, "times.txt": _TIMES},
@@ -451,7 +451,7 @@ _FILES: dict[str, Callable[[], dict[str, bytes]]] = {
         **{f"mav0/cam{n}/sensor.yaml": _SENSOR.format(0.1 * n).encode() for n in range(2)},
     },
 }
-_READERS: dict[str, Callable[[Path], Any]] = {
+READERS: dict[str, Callable[[Path], Any]] = {
     **{"kitti": KittiDataset, "kitti raw": KittiDataset, "euroc": EurocDataset},
     **{"middlebury 2014": MiddleburyDataset, "middlebury 2005": MiddleburyDataset, "npz": MiddleburyDataset},
 }
@@ -492,8 +492,8 @@ def _npz_of(header: bytes, payload: bytes, count: int = 1) -> bytes:
 def _damaged_dataset(seed: int) -> tuple[str, dict[str, bytes]]:
     """Kind of the dataset, and the files that are damaged."""
     random = np.random.default_rng(seed)
-    kind = list(_FILES)[int(random.integers(len(_FILES)))]
-    files = _FILES[kind]()
+    kind = list(FILES)[int(random.integers(len(FILES)))]
+    files = FILES[kind]()
     texts = [name for name in files if not name.endswith(".png")] or list(files)
     name = (texts if random.integers(4) else list(files))[int(random.integers(len(texts)))]
     is_text = name.endswith((".txt", ".csv", ".yaml"))
@@ -502,10 +502,10 @@ def _damaged_dataset(seed: int) -> tuple[str, dict[str, bytes]]:
 
 def _run_dataset(case: tuple[str, dict[str, bytes]], folder: Path) -> None:
     kind, damaged = case
-    for name, data in {**_FILES[kind](), **damaged}.items():
+    for name, data in {**FILES[kind](), **damaged}.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
-    for frame in _READERS[kind](folder):
+    for frame in READERS[kind](folder):
         assert frame.left.pixels.size
         if frame.truth_disparity_px is not None:
             assert frame.truth_disparity_px.dtype == np.float32

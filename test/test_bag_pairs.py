@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import re
 import struct
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,12 +16,14 @@ from stereo_bags import cut, later, sequence, write_odd_bag, write_truth_bag
 
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.message_types import RosbagsTypes
-from stereo_depth_ros.bags.pairs import BagPairs, BagSelection
+from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config import PairingConfig
-from stereo_depth_ros.core.errors import BagError, ConfigError, MessageError, TopicError
+from stereo_depth_ros.core.errors import BagError, CalibrationError, ConfigError, MessageError, TopicError
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.datasets.stereo_images import open_stereo_images
+from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns, with_stamp, without_stamp
 from stereo_depth_ros.messages.image import image_message
@@ -214,3 +218,48 @@ def test_the_largest_value_in_the_message_is_allowed(name: str) -> None:
     assert getattr(BagSelection(Path("a.mcap"), **{name: 1e9}), name) == 1e9  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=rf"{name} = 1000000001\.0 is outside 0\.\.1e9 s"):
         BagSelection(Path("a.mcap"), **{name: 1e9 + 1})  # type: ignore[arg-type]
+
+
+def test_stamps_that_no_clock_gives_are_left_out_and_counted(tmp_path: Path) -> None:
+    """In images and camera infos; where pairs are read, by the inspection, the doctor and the calibration alike."""
+    path, bad = tmp_path / "bag.mcap", tmp_path / "bad.mcap"
+    write_truth_bag(path, 4)
+    counts: Counter[str] = Counter()
+    with BagReader(path) as reader, BagWriter(bad) as writer:
+        for message in reader.messages():
+            counts[message.topic] += 1
+            later_images = message.topic == "/left/image_raw" and counts[message.topic] > 1
+            first_info = message.topic == "/right/camera_info" and counts[message.topic] == 1
+            nanosec = (4 * 10**9).to_bytes(4, "little") if later_images or first_info else message.data[8:12]
+            data = message.data[:8] + nanosec + message.data[12:]
+            writer.write_raw(message.topic, message.msgtype, data, message.log_time_ns)
+    said = r"messages are left out, the first one is of /\w+/\w+: nanosec = 4000000000 of the stamp is outside 0"
+    with BagPairs(BagSelection(bad), EXACT) as pairs:
+        assert len(list(pairs.pairs())) == 1
+        assert re.search(f"4 {said}", "; ".join(pairs.losses))
+    assert any(re.search(f"3 {said}", str(problem)) for problem in inspect_bag(bad).problems)
+    assert any("nanosec = 4000000000" in finding.value for finding in survey_bag(BagSelection(bad)).findings)
+    images = open_stereo_images(bad)
+    assert len(list(images)) == 1
+    assert any(re.search(f"3 {said}", text) for text in images.warnings)
+
+
+def test_nothing_is_built_for_camera_infos_of_another_size(tmp_path: Path) -> None:
+    path, bad = tmp_path / "bag.mcap", tmp_path / "bad.mcap"
+    write_truth_bag(path, 1)
+    types = RosbagsTypes()
+    with BagReader(path) as reader, BagWriter(bad) as writer:
+        for message in reader.messages():
+            data = message.data
+            if message.topic.endswith("camera_info"):
+                info = reader.deserialize(message)
+                info.width, info.height = 8000, 8000
+                data = types.serialize(info)
+            writer.write_raw(message.topic, message.msgtype, data, message.log_time_ns)
+    built: list[StereoRig] = []
+    per_calibration = PerCalibration(types, built.append)
+    with BagPairs(BagSelection(bad), EXACT) as pairs:
+        (pair,) = pairs.pairs()
+        with pytest.raises(CalibrationError, match="the image is 200x150, its camera info is for 8000x8000"):
+            per_calibration.of(pair, pairs.topics.image_type)
+    assert built == []

@@ -113,6 +113,9 @@ def rectify(
     check_outputs([output / name for name in names], inputs, reports=[json_file], overwrite=overwrite)
     images = _Pair(*(read_pair(left, right) if side_by_side else (read_image(left), read_image(right))))
     known = read_rig(rig, size=(images.left.shape[1], images.left.shape[0])) if rig else None
+    for path, pixels in ((left, images.left), (right, images.right)):
+        if known is not None:
+            known.check_image(pixels.shape[1], pixels.shape[0], str(path))
     raw = match_features(images.left_gray, images.right_gray)
     result: dict[str, Any] = {"left": str(left), "right": str(right), "output": str(output)}
     used: StereoRig | UncalibratedRig

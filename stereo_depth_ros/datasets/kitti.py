@@ -79,9 +79,10 @@ class KittiDataset:
         self.files = [*calibrations.values(), *times, *(path for pair in self._pairs for path in pair), *truths]
         height, width = read_image(self._pairs[0][0]).shape[:2]
         path = calibrations[names[0]]
+        calibration = read_calibration(path)
         try:
-            self.rig = rig_from_calibration(read_calibration(path), (cameras[0], cameras[1]), (width, height))
-        except CalibrationError as error:
+            self.rig = rig_from_calibration(calibration, (cameras[0], cameras[1]), (width, height))
+        except (BagError, CalibrationError) as error:
             raise error.about(path) from error
 
     def __len__(self) -> int:
