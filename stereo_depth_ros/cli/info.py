@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import typer
 
 from stereo_depth_ros.bags.info import inspect_bag
@@ -42,8 +44,10 @@ def info(
     check_outputs((), bag_files(bag), reports=[json_file], overwrite=overwrite)
     chosen, choice = choose_topics(BagSelection(bag, left, right, side_by_side=side_by_side))
     found = inspect_bag(bag, left=chosen.left, right=chosen.right, side_by_side=side_by_side)
+    if choice:
+        found = replace(found, warnings=(choice, *found.warnings))
     show(info_tables(found), info_values(found), json_file, overwrite=overwrite)
-    for text in (choice, *found.warnings) if choice else found.warnings:
+    for text in found.warnings:
         warn(text)
     for problem in found.problems:
         tell(f"problem: {error_text(problem)}")
