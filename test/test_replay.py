@@ -72,13 +72,14 @@ def graph(own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
 
 def write_with_smaller_images(path: Path) -> None:
-    """Three pairs whose images have two rows less than their camera infos."""
-    types, made = RosbagsTypes(), sequence(3)
+    """Five pairs; the images of the last three have two rows less than their camera infos."""
+    types, made = RosbagsTypes(), sequence(5)
     with BagWriter(path) as writer:
-        for frame in made:
+        for index, frame in enumerate(made):
             sides = (("left", frame.pair.left, made.rig.left), ("right", frame.pair.right, made.rig.right))
             for side, image, camera in sides:
-                small = image_message(types, image.pixels[:-2], "mono8", image.stamp_ns, image.frame_id)
+                pixels = image.pixels if index < 2 else image.pixels[:-2]
+                small = image_message(types, pixels, "mono8", image.stamp_ns, image.frame_id)
                 writer.write(f"/{side}/camera_info", camera_info_message(types, camera, image.stamp_ns), image.stamp_ns)
                 writer.write(f"/{side}/image_raw", small, image.stamp_ns)
 

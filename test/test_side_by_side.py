@@ -228,6 +228,17 @@ def test_one_topic_with_both_images_is_named_with_the_remedy(
     assert isinstance(problem, TopicError) and "record the camera infos too" in str(problem)
 
 
+def test_the_topic_with_both_images_is_found_among_others(plain: Path, tmp_path: Path) -> None:
+    joint, more = joint_bag(plain, tmp_path / "joint.mcap"), tmp_path / "more.mcap"
+    with BagReader(joint) as reader, BagWriter(more) as bag:
+        for message in reader.messages():
+            bag.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+        bag.write("/rear/image_raw", image_message(TYPES, pixels(200, height=150), "mono8", 5, "rear"), 5)
+    assert inspect_bag(more, side_by_side=True).usable
+    (problem,) = inspect_bag(more).problems
+    assert "/stereo/image_raw looks like both images side by side, 400x150 where" in str(problem)
+
+
 def test_images_of_one_camera_are_not_taken_for_two(plain: Path, tmp_path: Path) -> None:
     with BagReader(plain) as reader, BagWriter(tmp_path / "mono.mcap") as bag:
         for message in reader.messages([topic for topic in reader.topics if "/left/" in topic]):

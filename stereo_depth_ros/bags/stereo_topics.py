@@ -48,25 +48,33 @@ def bag_candidates(
                 raise
             return stereo_candidates(reader.msgtypes, left, right, side_by_side=side_by_side)
     except TopicError as error:
-        hint = None if side_by_side else _side_by_side(reader, left or right)
+        wide = _joint_topics(reader, left or right)
+        if side_by_side and left is None and right is None:
+            found = [topics for topics, _ in wide]
+            if len(found) == 1:
+                return found
+        hint = None if side_by_side else next((_look_like_two(*each) for each in wide), None)
         raise (hint or error).about(reader.path) from error
 
 
-def _side_by_side(reader: BagReader, named: str | None) -> TopicError | None:
-    """The topic whose images look like two side by side, if there is one: twice as wide as its camera infos."""
-    try:
-        found = stereo_candidates(reader.msgtypes, named, named, side_by_side=True)
-    except TopicError:
-        return None
-    for topics in found:
+def _joint_topics(reader: BagReader, named: str | None) -> Iterator[tuple[StereoTopics, str]]:
+    """The topics whose images look like two side by side, and why."""
+    for name in reader.topics if named is None else (named,):
+        try:
+            (topics,) = stereo_candidates(reader.msgtypes, name, name, side_by_side=True)
+        except TopicError:  # no image
+            continue
         if looks := _looks_like_two(reader, topics):
-            return TopicError(
-                f"{topics.left_image} looks like both images side by side, {looks}",
-                value=topics.left_image,
-                remedy="read both from it",
-                settings=("side_by_side",),
-            )
-    return None
+            yield topics, looks
+
+
+def _look_like_two(topics: StereoTopics, looks: str) -> TopicError:
+    return TopicError(
+        f"{topics.left_image} looks like both images side by side, {looks}",
+        value=topics.left_image,
+        remedy="read both from it",
+        settings=("side_by_side",),
+    )
 
 
 def _looks_like_two(reader: BagReader, topics: StereoTopics) -> str:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import typer
 
 from stereo_depth_ros.bags.info import inspect_bag
@@ -50,8 +52,10 @@ def info(
     found = inspect_bag(
         bag, left=chosen.left, right=chosen.right, side_by_side=side_by_side, camera_files=chosen.camera_files
     )
+    if choice:
+        found = replace(found, warnings=(choice, *found.warnings))
     show(info_tables(found), info_values(found), json_file, overwrite=overwrite)
-    for text in (choice, *found.warnings) if choice else found.warnings:
+    for text in found.warnings:
         warn(text)
     for problem in found.problems:
         tell(f"problem: {error_text(problem)}")
