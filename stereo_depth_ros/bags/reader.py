@@ -162,7 +162,7 @@ class BagReader:
     ) -> Iterator[tuple[int, BagMessage | None]]:
         """Log times and messages of a file, converted; one that is damaged is left out and counted.
 
-        The first item is only the time at which they begin: chunks of all files of a long bag would not fit into memory.
+        The first item is only the time at which they begin: chunks of all files of a long bag do not fit into memory.
         """
         for channel, _ in source.counts:
             if channel.topic in topics:
