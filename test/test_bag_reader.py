@@ -17,6 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from stereo_depth_ros.bags.chunked_file import StoredMessage, Waiting
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagReader, TopicInfo
 from stereo_depth_ros.bags.sources import is_bag
@@ -94,6 +95,24 @@ def test_several_files_of_a_folder_are_merged(tmp_path: Path) -> None:
             for stamp in STAMPS[topic]:
                 bag.write_raw(topic, IMAGE, cdr(stamp), stamp)
     assert read(tmp_path) == IN_ORDER
+
+
+def test_files_of_a_long_bag_are_opened_one_after_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chunk of each file would not fit into the memory."""
+    for number, topic in enumerate(("/a", "/b") * 3):
+        with BagWriter(tmp_path / f"bag_{number}.mcap") as bag:
+            for stamp in (10 * number, 10 * number + 5):
+                bag.write_raw(topic, IMAGE, cdr(stamp), stamp)
+    held: list[int] = []
+
+    class Counting(Waiting):
+        def add(self, message: StoredMessage) -> None:
+            super().add(message)
+            held.append(self._bytes)
+
+    monkeypatch.setattr("stereo_depth_ros.bags.reader.Waiting", Counting)
+    assert len(read(tmp_path)) == 12
+    assert len(held) == 12 and max(held) < 3 * len(cdr(0)) + 1000
 
 
 def test_topics_span_and_selection(tmp_path: Path) -> None:

@@ -16,10 +16,13 @@ from bag_kinds import TYPES
 from command_line import CommandLine
 from mcap.writer import Writer
 from rosbags import rosbag1
-from stereo_bags import write_truth_bag
+from stereo_bags import sequence, write_truth_bag
 from test_bag_reader import IMAGE, IN_ORDER, cdr, write_mcap, write_rosbag2
 
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.datasets.stereo_images import open_stereo_images
+from stereo_depth_ros.messages.image import image_message
 
 ALL = [10, 20, 30, 40, 50, 60, 70]
 
@@ -120,6 +123,7 @@ def test_a_ros1_bag_without_index_is_read(tmp_path: Path) -> None:
     index = struct.unpack_from("<Q", data, data.index(b"index_pos=") + 10)[0]
     damaged = data.index(b"op=\x07", index)
     assert read(flipped(path, damaged + 3)) == (ALL, "")  # a connection of the index
+    path = path.rename(tmp_path / "bag.bag.active")
     path.write_bytes(data[: data.rindex(b"op=\x05") + 500])  # as of a killed recorder: no index, last chunk cut
     times, warning = read(path)
     assert times == ALL[:-1] and warning == "is cut in the middle: the 6 messages before the cut are read"
@@ -236,3 +240,19 @@ def test_commands_say_the_same_of_a_damaged_bag(tmp_path: Path, command_line: Co
     assert code == 0 and (out + err).count(said) == 1, out + err
     code, out, err = command_line("doctor", columns=2000)(path, "--json", "-")
     assert json.dumps(said)[1:-1] in out
+
+
+def test_images_for_a_calibration_say_it_too(tmp_path: Path) -> None:
+    """What is lost is known when all pairs are read."""
+    made = sequence(4)
+    path = tmp_path / "bag.mcap"
+    with BagWriter(path, chunk_size=1) as bag:
+        for frame in made:
+            for side, image in (("left", frame.pair.left), ("right", frame.pair.right)):
+                message = image_message(TYPES, image.pixels, "mono8", image.stamp_ns, side)
+                bag.write(f"/{side}/image_raw", message, image.stamp_ns)
+    data = path.read_bytes()
+    flipped(path, data.index(b"\x28\xb5\x2f\xfd", len(data) // 3) + 100)
+    images = open_stereo_images(path)
+    assert len(list(images)) == 3
+    assert images.warnings[0].startswith(f"{path} is damaged: 1 chunk is damaged (")

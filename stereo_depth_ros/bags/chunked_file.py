@@ -16,9 +16,9 @@ from stereo_depth_ros.bags.inflate import InflationBudget
 from stereo_depth_ros.bags.losses import Losses, cause_text
 from stereo_depth_ros.core.errors import BagError
 
-__all__ = ["Channel", "Chunk", "ChunkedFile", "RawMessage", "StoredMessage"]
+__all__ = ["Channel", "Chunk", "ChunkedFile", "RawMessage", "StoredMessage", "Waiting"]
 
-_QUEUE_LIMIT = 512 * 2**20  # bytes of messages that wait for earlier ones of other chunks
+_QUEUE_LIMIT = 320 * 2**20  # bytes of messages that wait for earlier ones of other chunks; more than one chunk has
 _MESSAGE_BYTES = 300  # what a message takes in the queue besides its data
 
 
@@ -45,6 +45,32 @@ class RawMessage(NamedTuple):
     log_time_ns: int
     data: bytes
     place: tuple[int, int]
+
+
+class Waiting:
+    """Counts the messages of a bag that wait for earlier ones of other chunks and files."""
+
+    def __init__(self) -> None:
+        self._bytes = 0
+
+    def add(self, message: StoredMessage) -> None:
+        """One more.
+
+        Raises:
+            BagError: they are too large in total.
+        """
+        self._bytes += len(message.data) + _MESSAGE_BYTES
+        if self._bytes > _QUEUE_LIMIT:
+            raise BagError(
+                f"more than {_QUEUE_LIMIT} bytes of messages are out of order",
+                value=self._bytes,
+                limit=_QUEUE_LIMIT,
+                remedy="sort it with `mcap sort`",
+            )
+
+    def remove(self, message: StoredMessage) -> None:
+        """One less."""
+        self._bytes -= len(message.data) + _MESSAGE_BYTES
 
 
 @dataclass(frozen=True)
@@ -112,8 +138,8 @@ class ChunkedFile(ABC):
         """The channels and their numbers of messages, those of damaged chunks included where an index tells."""
         return [(channel, self._counts[key]) for key, channel in self.channels.items()]
 
-    def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[RawMessage]:
-        """Messages with start_ns <= log time <= end_ns, in log-time order.
+    def messages(self, topics: set[str], start_ns: int, end_ns: int, waiting: Waiting) -> Iterator[RawMessage]:
+        """Messages with start_ns <= log time <= end_ns, in log-time order; ``waiting`` counts those that wait.
 
         Raises:
             BagError: messages are so far out of order that too many have to wait.
@@ -126,18 +152,16 @@ class ChunkedFile(ABC):
             if chunk.start_ns <= end_ns and chunk.end_ns >= start_ns and (not chunk.counts or ids.keys() & chunk.counts)
         ]
         heapq.heapify(queue)
-        waiting = 0
         while queue:
             log_time_ns, offset, index, item = heapq.heappop(queue)
             if isinstance(item, StoredMessage):
-                waiting -= len(item.data) + _MESSAGE_BYTES
+                waiting.remove(item)
                 yield RawMessage(ids[item.channel], log_time_ns, item.data, (offset, index))
                 continue
             for number, message in enumerate(self._messages_of(item, ids)):
                 if start_ns <= message.log_time_ns <= end_ns:
                     heapq.heappush(queue, (message.log_time_ns, offset, number, message))
-                    waiting += len(message.data) + _MESSAGE_BYTES
-                    _check_waiting(waiting)
+                    waiting.add(message)
 
     def by_topic(self, counts: Mapping[int, int]) -> Counter[str]:
         """Numbers of messages by topic instead of channel."""
@@ -169,13 +193,3 @@ class ChunkedFile(ABC):
                 self.losses.add_chunk((self.path, chunk.offset), self.by_topic(chunk.counts), cause_text(error))
                 return []
         return messages
-
-
-def _check_waiting(size: int) -> None:
-    if size > _QUEUE_LIMIT:
-        raise BagError(
-            f"more than {_QUEUE_LIMIT} bytes of messages are out of order",
-            value=size,
-            limit=_QUEUE_LIMIT,
-            remedy="sort it with `mcap sort`",
-        )

@@ -8,10 +8,12 @@ import heapq
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from stereo_depth_ros.bags.chunked_file import Waiting
 from stereo_depth_ros.bags.conversion import check_convertible, message_type, stored_type, to_cdr
 from stereo_depth_ros.bags.losses import Losses, cause_text
 from stereo_depth_ros.bags.message_types import RosbagsTypes
@@ -124,8 +126,9 @@ class BagReader:
         # without limits also those whose log times are damaged
         start = -(2**64) if start_ns is None else start_ns
         end = 2**64 if end_ns is None else end_ns
-        streams = [self._read(source, wanted, start, end) for source in self._sources]
-        return self._found(wanted, heapq.merge(*streams, key=lambda message: message.log_time_ns))
+        waiting = Waiting()
+        streams = [self._read(source, wanted, start, end, waiting) for source in self._sources]
+        return self._found(wanted, heapq.merge(*streams, key=itemgetter(0)))
 
     def deserialize(self, message: BagMessage) -> Any:
         """The message as a rosbags object.
@@ -154,32 +157,41 @@ class BagReader:
     def _lost(self) -> str:
         return Losses.sentence(source.losses for source in self._sources)
 
-    def _read(self, source: BagSource, topics: set[str], start_ns: int, end_ns: int) -> Iterator[BagMessage]:
-        """The messages of a file, converted; one that is damaged is left out and counted."""
+    def _read(
+        self, source: BagSource, topics: set[str], start_ns: int, end_ns: int, waiting: Waiting
+    ) -> Iterator[tuple[int, BagMessage | None]]:
+        """Log times and messages of a file, converted; one that is damaged is left out and counted.
+
+        The first item is only the time at which they begin: chunks of all files of a long bag do not fit into memory.
+        """
         for channel, _ in source.counts:
             if channel.topic in topics:
                 check_convertible(self._types, channel)
-        for message in source.messages(topics, start_ns, end_ns):
+        yield source.start_ns, None
+        for message in source.messages(topics, start_ns, end_ns, waiting):
             channel = message.channel
             try:
                 cdr = to_cdr(self._types, message, source.budget)
             except Exception as error:  # those of the libraries that parse it have no common base class
                 source.losses.add_messages((source.path, *message.place), channel.topic, 1, cause_text(error))
             else:
-                yield BagMessage(channel.topic, message_type(channel), message.log_time_ns, cdr)
+                found = BagMessage(channel.topic, message_type(channel), message.log_time_ns, cdr)
+                yield message.log_time_ns, found
 
-    def _found(self, topics: set[str], messages: Iterator[BagMessage]) -> Iterator[BagMessage]:
+    def _found(self, topics: set[str], items: Iterator[tuple[int, BagMessage | None]]) -> Iterator[BagMessage]:
         """The messages; an error where damage has left none."""
-        message = None
+        is_empty = True
         try:
-            for message in messages:
-                yield message
+            for _, message in items:
+                if message is not None:
+                    is_empty = False
+                    yield message
         except BagError as error:
             raise error.about(self.path) from error
         except Exception as error:  # those of the libraries that parse it have no common base class
             problem = f"is damaged ({cause_text(error)})"
             raise BagError(problem, subject=str(self.path), remedy="record or copy it again") from error
-        if message is None and any(source.losses.may_hold(topics) for source in self._sources):
+        if is_empty and any(source.losses.may_hold(topics) for source in self._sources):
             raise BagError(f"is damaged: {self._lost}", subject=str(self.path), remedy="record or copy it again")
 
     def _merge_topics(self) -> dict[str, TopicInfo]:

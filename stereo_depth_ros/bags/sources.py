@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol
 
-from stereo_depth_ros.bags.chunked_file import Channel, RawMessage
+from stereo_depth_ros.bags.chunked_file import Channel, RawMessage, Waiting
 from stereo_depth_ros.bags.inflate import InflationBudget, inflate_file
 from stereo_depth_ros.bags.losses import Losses, cause_text
 from stereo_depth_ros.bags.mcap_file import McapFile
@@ -42,7 +42,7 @@ class BagSource(Protocol):
     @property
     def counts(self) -> list[tuple[Channel, int]]: ...
 
-    def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[RawMessage]: ...
+    def messages(self, topics: set[str], start_ns: int, end_ns: int, waiting: Waiting) -> Iterator[RawMessage]: ...
 
     def close(self) -> None: ...
 
@@ -150,5 +150,5 @@ _OPENERS: Mapping[str, Callable[[Path], BagSource]] = {".mcap": McapFile, ".db3"
 
 
 def _kind(path: Path) -> str:
-    """The file suffix, ignoring a trailing .zstd."""
-    return Path(path.stem).suffix if path.suffix == ".zstd" else path.suffix
+    """The file suffix, ignoring a trailing .zstd, and the .active of ROS 1 bags whose recorder was killed."""
+    return Path(path.stem).suffix if path.suffix in (".zstd", ".active") else path.suffix

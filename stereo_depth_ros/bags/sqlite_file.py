@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from stereo_depth_ros.bags.chunked_file import Channel, RawMessage
+from stereo_depth_ros.bags.chunked_file import Channel, RawMessage, Waiting
 from stereo_depth_ros.bags.inflate import INFLATED_LIMIT, InflationBudget, check_size
 from stereo_depth_ros.bags.losses import Losses, cause_text
 from stereo_depth_ros.core.errors import BagError
@@ -73,8 +73,8 @@ class SqliteFile:
         counts = Counter(self._topics.tolist())
         return [(channel, counts[key]) for key, channel in self._channels.items()]
 
-    def messages(self, topics: set[str], start_ns: int, end_ns: int) -> Iterator[RawMessage]:
-        """Messages with start_ns <= log time <= end_ns, in log-time order."""
+    def messages(self, topics: set[str], start_ns: int, end_ns: int, waiting: Waiting) -> Iterator[RawMessage]:
+        """Messages with start_ns <= log time <= end_ns, in log-time order; none has to wait."""
         wanted = [key for key, channel in self._channels.items() if channel.topic in topics]
         limits = np.clip([start_ns, end_ns], -(2**63), 2**63 - 1)
         inside = np.isin(self._topics, wanted) & (self._times >= limits[0]) & (self._times <= limits[1])

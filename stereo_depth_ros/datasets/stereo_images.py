@@ -155,8 +155,8 @@ class BagImages:
         self._types = RosbagsTypes()
         self.files = bag_files(path)
         self.unreadable: list[str] = []
+        self.warnings: list[str] = []  # those known when all pairs are read
         with BagReader(path) as reader:
-            self.warnings = [reader.warning] if reader.warning else []
             found = bag_candidates(reader, left, right, side_by_side=side_by_side)
             self._topics = next((topics for topics in found if not topics.rectified), found[0])
             self._count = reader.topics[self._topics.left_image].count
@@ -185,6 +185,8 @@ class BagImages:
                         yield from self._decoded(*pair, depth)
             for pair in pairing.flush():
                 yield from self._decoded(*pair, depth)
+            if reader.warning:
+                self.warnings.append(reader.warning)
         lost = pairing.counts.dropped_left + pairing.counts.dropped_right
         if stamped.error:
             self.warnings.append(f"{self._path}: {stamped.error}")
