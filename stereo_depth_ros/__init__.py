@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from stereo_depth_ros.camera_files.reading import read_rig_files
     from stereo_depth_ros.config import MatchingConfig, PipelineConfig
     from stereo_depth_ros.core.camera import CameraModel
     from stereo_depth_ros.core.errors import (
@@ -53,9 +54,11 @@ __all__ = [
     "__version__",
     "create_matcher",
     "read_pairs",
+    "read_rig_files",
 ]
 
 _NAMES = {
+    "camera_files.reading": ("read_rig_files",),
     "config": ("MatchingConfig", "PipelineConfig"),
     "core.camera": ("CameraModel",),
     "core.errors": (

@@ -76,7 +76,7 @@ def test_files_replace_the_camera_infos_of_a_bag(folder: Path, tmp_path: Path) -
     twice = RIG.right.P.copy()
     twice[0, 3] *= 2
     write_camera(files[1], replace(RIG.right, P=twice), "right")
-    (_, rig), *_ = read_pairs(folder / "infos.mcap", files)
+    (_, rig), *_ = read_pairs(folder / "infos.mcap", camera_files=files)
     assert rig.baseline_m == pytest.approx(2 * RIG.baseline_m)
     assert (rig.topics, rig.frame_id) == ((str(files[0]), str(files[1])), RIG.frame_id)
     info = inspect_bag(folder / "infos.mcap", camera_files=files)

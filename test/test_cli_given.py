@@ -62,7 +62,7 @@ def p(*texts: str) -> list[str]:
         ([*EVALUATE, *p("stereo_algorithm:=0")], "stereo_algorithm has no effect: the matchers are those of --matcher"),
         (["doctor", "in.mcap", "--live"], "both BAG and --live are given: give a BAG, or --live"),
         (["doctor"], "neither BAG nor --live is given"),
-        (["rectify", "l.png", "r.png", "-o", "out"], "neither --rig nor --uncalibrated is given"),
+        (["rectify", "l.png", "r.png", "-o", "out"], "neither --camera-info nor --uncalibrated is given"),
         ([*RECTIFY, "--uncalibrated", "--method", "opencv"], "--method opencv needs a calibration"),
         # options without effect
         ([*RECTIFY, "--rig", "left.yaml", "--alpha", "0.5"], "--alpha has no effect without --method: add --method"),

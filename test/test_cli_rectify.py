@@ -99,7 +99,7 @@ def test_wrong_input(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.full((100, 100), 99, np.uint8))
     for arguments, text, expected in (
-        (pair, "neither --rig nor --uncalibrated is given", 2),
+        (pair, "neither --camera-info nor --uncalibrated is given", 2),
         ((*pair, "--uncalibrated", "--method", "opencv"), "--method opencv needs a calibration", 2),
         ((*pair, "--rig", tmp_path / "rig", "--method", "bouguet"), "'bouguet' is not one of textbook, opencv", 2),
         ((pair[0], tmp_path / "none.png", "--uncalibrated"), "none.png", 1),

@@ -221,7 +221,8 @@ class _Inspection:
     def _arrivals(self, stereo: StereoTopics) -> list[Arrival]:
         """Side and header stamp of every image, in the order of the bag; what is lost of the camera infos shows too."""
         images, stamped = CameraImages(self._reader, stereo), StampedMessages()
-        wanted = {topic for topic in (*images.names, stereo.left_info, stereo.right_info) if topic is not None}
+        infos = {stereo.left_info, stereo.right_info} & self._reader.topics.keys()  # else they are files
+        wanted = {*images.names, *(topic for topic in infos if topic is not None)}
         messages = stamped.read(message for message in self._reader.messages(wanted) if message.topic in images.names)
         arrivals = [(side, stamp_ns) for stamp_ns, message in messages for side in images.sides(message.topic)]
         if stamped.error:

@@ -64,7 +64,10 @@ def rectify(
         ),
     ] = None,
     uncalibrated: Annotated[
-        bool, typer.Option("--uncalibrated", help="Rectify from matched features; --rig then removes distortion only.")
+        bool,
+        typer.Option(
+            "--uncalibrated", help="Rectify from matched features; --camera-info then removes distortion only."
+        ),
     ] = False,
     method: Annotated[
         str | None,
@@ -82,23 +85,23 @@ def rectify(
 ) -> None:
     """Rectify a pair of images, with or without a calibration.
 
-    With --rig, the calibration is used. With --uncalibrated, the fundamental matrix is estimated from matched features,
-    and the images are rectified by the two homographies of least distortion (Loop and Zhang 1999). Lenses with
-    distortion need --rig in addition. Disparities of these images cannot be converted to meters.
+    With --camera-info, the calibration is used. With --uncalibrated, the fundamental matrix is estimated from matched
+    features, and the images are rectified by the two homographies of least distortion (Loop and Zhang 1999). Lenses
+    with distortion need --camera-info in addition. Disparities of these images cannot be converted to meters.
 
     DIR receives left.png and right.png, rows.png with lines across both images, and with --method left.yaml and
     right.yaml. Row errors are measured on matched features.
 
     \b
     Examples:
-      stereo-depth rectify left.png right.png --rig calibration -o out
-      stereo-depth rectify left.png right.png --rig left.yaml --method textbook --alpha 0.5 -o out
+      stereo-depth rectify left.png right.png --camera-info calibration -o out
+      stereo-depth rectify left.png right.png --camera-info left.yaml --method textbook --alpha 0.5 -o out
       stereo-depth rectify left.jpg right.jpg --uncalibrated -o out --json -
-      stereo-depth rectify both.png --side-by-side --rig calibration -o out
+      stereo-depth rectify both.png --side-by-side --camera-info calibration -o out
     """
     if rig is None and not uncalibrated:
         raise ConfigError(
-            "neither --rig nor --uncalibrated is given", remedy="give the calibration, or rectify without one"
+            "neither --camera-info nor --uncalibrated is given", remedy="give the calibration, or rectify without one"
         )
     right = _right_path(left, right, side_by_side)
     refuse_files("--output", output)
@@ -135,7 +138,7 @@ def rectify(
         write_camera(output / "right.yaml", used.right, "right", overwrite=overwrite)
     show([_table(result)], result, json_file, overwrite=overwrite)
     if uncalibrated and known is None:
-        warn("the lenses are assumed to have no distortion: give --rig if they have")
+        warn("the lenses are assumed to have no distortion: give --camera-info if they have")
 
 
 def _right_path(left: Path, right: Path | None, side_by_side: bool) -> Path:
