@@ -106,5 +106,5 @@ def test_files_that_cannot_be_opened(camera: CameraModel, tmp_path: Path) -> Non
     (tmp_path / "image.yaml").write_bytes(b"\xff\xd8\xff\xe0")
     with pytest.raises(CalibrationError, match=r"image\.yaml: byte 0xff in line 1 is not UTF-8"):
         StereoRig.from_yaml(tmp_path / "image.yaml", tmp_path / "image.yaml")
-    with pytest.raises(OutputError, match=r"left\.yaml: cannot be written: it does not exist"):
+    with pytest.raises(OutputError, match=r"left\.yaml: cannot be written: its folder does not exist"):
         write_camera(tmp_path / "none" / "left.yaml", camera, "left")

@@ -268,7 +268,7 @@ def test_a_failed_process_keeps_the_earlier_result(run: Run, bag: Path, tmp_path
     output = tmp_path / "good.mcap"
     output.write_text("good")
     code, _, _ = run("process", bag, "-o", output, "--start", "50", "--overwrite")
-    assert code == 1
+    assert code == 2
     assert output.read_text() == "good"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["good.mcap", "in.mcap"]
 

@@ -61,6 +61,7 @@ def test_what_stands_in_the_place_of_a_file(read: object, tmp_path: Path, monkey
 
 def test_outputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("a")
+    assert "its folder does not exist: choose" in refused(write_file, tmp_path / "none" / "a.png", b"")
     below = tmp_path / "file" / "below.png"
     assert "what its path names as a folder is a file" in refused(write_file, below, b"")
     assert "what its path names as a folder is a file" in refused(check_outputs, [below])

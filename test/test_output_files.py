@@ -144,7 +144,7 @@ def test_device_is_written_directly() -> None:
 
 
 def test_folders_are_created_with_make_folders_only(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="it does not exist"):
+    with pytest.raises(OutputError, match="its folder does not exist"):
         write_file(tmp_path / "x" / "y" / "a", "text")
     write_file(tmp_path / "x" / "y" / "a", "text", make_folders=True)
     assert (tmp_path / "x" / "y" / "a").read_text() == "text"

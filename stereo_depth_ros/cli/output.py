@@ -117,10 +117,11 @@ def prepare_kernels(config: MatchingConfig | None = None) -> None:
 
         def report(number: int, total: int) -> None:
             check()
-            progress(max(number - 1, 0), total)
             if not number:
                 tell("waiting for another process that compiles kernels")
-            elif not _messages.is_terminal:
+            if _messages.is_terminal:
+                progress(max(number - 1, 0), total)
+            elif number:
                 tell(f"compiling kernels, {number} of {total}")
 
         compile_kernels(report)

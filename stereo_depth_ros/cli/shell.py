@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.errors import StereoDepthError
 
 __all__ = ["require_known_shell"]
 
@@ -13,7 +13,7 @@ def require_known_shell() -> None:
     """Check that typer can find out which shell runs this process, as its options for completion need.
 
     Raises:
-        ConfigError: it is not known, as in a service or a pipeline.
+        StereoDepthError: it is not known, as in a service or a pipeline.
     """
     try:
         import shellingham  # type: ignore[import-untyped]
@@ -22,7 +22,7 @@ def require_known_shell() -> None:
     try:
         shellingham.detect_shell()
     except shellingham.ShellDetectionFailure as error:
-        raise ConfigError(
+        raise StereoDepthError(
             "the shell that runs this command is not known",
             remedy="write the script yourself, for bash: "
             "_STEREO_DEPTH_COMPLETE=source_bash stereo-depth > stereo-depth.sh",

@@ -183,7 +183,8 @@ def as_output_errors(subject: Path | str) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise _cannot_write(subject, in_words(error), _remedy(error)) from error
+        reason = "its folder does not exist" if error.errno == errno.ENOENT else in_words(error)
+        raise _cannot_write(subject, reason, _remedy(error)) from error
 
 
 def _remedy(error: OSError) -> str:
