@@ -7,13 +7,16 @@ The tests run a few cases of each with fixed seeds, `benchmarks/fuzz.py` as many
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import functools
 import io
 import os
+import shutil
 import signal
 import struct
 import sys
+import tarfile
 import tempfile
 import zipfile
 import zlib
@@ -25,17 +28,36 @@ from typing import Any
 
 import cv2
 import numpy as np
+from camera_file_texts import (
+    SIZE,
+    camchain,
+    camodocal,
+    depthai,
+    opencv_extrinsics,
+    opencv_intrinsics,
+    opencv_json,
+    opencv_xml,
+    opencv_yaml,
+    orb_slam,
+    truth,
+    videre,
+)
 from hypothesis import strategies as st
 from mutations import mutated
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.camera_files.reading import read_rig_files
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.config import CONFIGS, PipelineConfig, parameter_infos
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config, read_params_file
+from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import camera_from_info
+from stereo_depth_ros.core.camera_yaml import camera_to_yaml
 from stereo_depth_ros.core.errors import StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.datasets.euroc import EurocDataset
@@ -317,29 +339,70 @@ def _run_serialized(case: tuple[str, bytes], _: Path) -> None:
 
 
 @functools.cache
-def _bag() -> bytes:
+def _bags() -> tuple[tuple[str, bytes], ...]:
+    """The same bag without and with compression of its chunks, and as SQLite, by the end of their names."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag.mcap"
         write_synthetic_bag(path, _sequence())
-        plain = Path(folder) / "plain.mcap"
-        _rewrite(path, plain)
-        return plain.read_bytes()
+        bags = []
+        for compression in ("none", "lz4", "zstd"):
+            target = Path(folder) / f"{compression}.mcap"
+            with BagReader(path) as reader, BagWriter(target, compression=compression, chunk_size=5000) as writer:
+                for message in reader.messages():
+                    writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+            bags.append((".mcap", target.read_bytes()))
+        bags.append((".db3", next(_recording().glob("*.db3")).read_bytes()))
+    return tuple(bags)
 
 
-def _rewrite(path: Path, target: Path) -> None:
-    from stereo_depth_ros.bags.reader import BagReader
-
-    with BagReader(path) as reader, BagWriter(target, compression="none", chunk_size=5000) as writer:
+@functools.cache
+def _recording() -> Path:
+    """A folder of rosbag2, which is removed with the process."""
+    folder = Path(tempfile.mkdtemp(prefix="fuzz_"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    write_synthetic_bag(folder / "bag.mcap", _sequence())
+    typestore = RosbagsTypes().typestore
+    with (
+        BagReader(folder / "bag.mcap") as reader,
+        Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as bag,
+    ):
+        topics = {
+            name: bag.add_connection(name, info.msgtype, typestore=typestore) for name, info in reader.topics.items()
+        }
         for message in reader.messages():
-            writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+            bag.write(topics[message.topic], message.log_time_ns, message.data)
+    return folder / "bag"
 
 
-def _run_bag(case: bytes, folder: Path) -> None:
-    path = folder / "bag.mcap"
-    path.write_bytes(case)
-    for use in (inspect_bag, lambda p: list(read_pairs(p)), lambda p: diagnose(survey_bag(BagSelection(p)))):
-        with contextlib.suppress(StereoDepthError):
-            use(path)
+def _damaged_bag(seed: int) -> tuple[str, bytes]:
+    random = np.random.default_rng(seed)
+    suffix, data = _bags()[int(random.integers(len(_bags())))]
+    return suffix, mutated(data, random)
+
+
+def _run_bag(case: tuple[str, bytes], folder: Path) -> None:
+    path = folder / f"bag{case[0]}"
+    path.write_bytes(case[1])
+    _use_bag(path, examined=zlib.crc32(case[1]) % 4 == 0)
+
+
+def _run_metadata(case: bytes, folder: Path) -> None:
+    shutil.copytree(_recording(), folder / "bag")
+    (folder / "bag" / "metadata.yaml").write_bytes(case)
+    _use_bag(folder / "bag", examined=False)
+
+
+def _use_bag(path: Path, examined: bool) -> None:
+    with contextlib.suppress(StereoDepthError):
+        inspect_bag(path)
+    with contextlib.suppress(StereoDepthError):
+        if examined:
+            diagnose(survey_bag(BagSelection(path)))
+    assert len(list(read_pairs(path))) <= 2
+
+
+def _damaged_metadata(seed: int) -> bytes:
+    return _edited((_recording() / "metadata.yaml").read_bytes(), np.random.default_rng(seed))
 
 
 # ---- files of text and pixels
@@ -523,6 +586,47 @@ def _run_npz(case: bytes, folder: Path) -> None:
     assert read_npz(folder / "a.npz").dtype == np.float32
 
 
+@functools.cache
+def _calibrations() -> tuple[tuple[str, bytes], ...]:
+    """Files with both cameras, by the end of their names: one of each format."""
+    rig, lens = truth("plumb_bob"), truth("equidistant")
+    both = opencv_intrinsics(rig) | opencv_extrinsics(rig, rectified=True)
+    cameras = [(name, *(getattr(each, matrix) for matrix in "KDRP")) for name, each in _cameras()]
+    yaml = "".join(camera_to_yaml(each, name) for name, each in _cameras()[:1])
+    texts = [
+        *((".yaml", camchain(lens, "equi")), (".yaml", opencv_yaml(both)), (".xml", opencv_xml(both))),
+        *((".json", opencv_json(both)), (".json", depthai(rig)), (".yaml", orb_slam(rig, "PinHole"))),
+        *((".ini", videre(cameras)), (".yaml", yaml), (".yaml", camodocal(rig, "left", "PINHOLE"))),
+    ]
+    archive = io.BytesIO()
+    with tarfile.open(fileobj=archive, mode="w:gz") as tar:
+        for name, each in _cameras():
+            data = camera_to_yaml(each, name).encode()
+            member = tarfile.TarInfo(f"{name}.yaml")
+            member.size = len(data)
+            tar.addfile(member, io.BytesIO(data))
+    return (*((suffix, text.encode()) for suffix, text in texts), (".tar.gz", archive.getvalue()))
+
+
+def _cameras() -> tuple[tuple[str, CameraModel], ...]:
+    return ("left", _sequence().rig.left), ("right", _sequence().rig.right)
+
+
+def _damaged_calibration(seed: int) -> tuple[str, bytes]:
+    random = np.random.default_rng(seed)
+    suffix, data = _calibrations()[int(random.integers(len(_calibrations())))]
+    return suffix, mutated(data, random) if suffix == ".tar.gz" else _edited(data, random)
+
+
+def _run_calibration(case: tuple[str, bytes], folder: Path) -> None:
+    """Where the file holds the left camera only, the one of the right camera is beside it."""
+    path = folder / f"left{case[0]}"
+    path.write_bytes(case[1])
+    (folder / "right.yaml").write_text(camera_to_yaml(_sequence().rig.right, "right"))
+    rig = read_rig_files([path], SIZE)
+    assert rig.baseline_m > 0
+
+
 # ---- parameters
 
 _PARAMETER_FILE = b"""/**:
@@ -617,7 +721,7 @@ _COMMANDS = st.tuples(
 
 def _run_command(case: tuple[str, list[str]], folder: Path) -> None:
     """In this process: it ends with an exit code, and what it writes to stderr has no traceback."""
-    (folder / "a.mcap").write_bytes(_bag()[:3000])
+    (folder / "a.mcap").write_bytes(_bags()[0][1][:3000])
     out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.TextIOWrapper(io.BytesIO(), "utf-8")
     before, where = sys.argv, Path.cwd()
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -704,8 +808,10 @@ TARGETS: tuple[Target, ...] = (
     ),
     Target("disparity image", _DISPARITIES, _run_disparity, (_PLAIN_DISPARITY,)),
     Target("serialized messages", _SEEDS.map(_damaged_message), _run_serialized, examples=200),
-    Target("bags", _mutated_of(lambda: (_bag(),)), _run_bag, examples=20),
+    Target("bags", _SEEDS.map(_damaged_bag), _run_bag, examples=40),
+    Target("metadata of bags", _SEEDS.map(_damaged_metadata), _run_metadata, (_laughs(30),), examples=40),
     Target("datasets", _SEEDS.map(_damaged_dataset), _run_dataset, (("kitti", {}),), examples=150),
+    Target("calibrations", _SEEDS.map(_damaged_calibration), _run_calibration, (), examples=200),
     Target("npz", _SEEDS.map(_damaged_npz), _run_npz, _HUGE_HEADERS),
     Target("image files", _mutated_of(_encoded), _run_image_file, (_png_of(20_000, 20_000), b"P5 60000 60000 255\n")),
     Target("parameter files", _PARAMETER_FILES, _run_parameter_file, _KNOWN_FILES),
