@@ -69,9 +69,9 @@ class Block:
 
     @property
     def calls(self) -> list[Call]:
-        """Every call of a program; && separates calls, # begins a comment, a backslash continues a line."""
+        """Every call of a program; && separates calls, # begins a comment."""
         found = []
-        for line in self.text.replace("\\\n", "").splitlines():
+        for line in self.text.replace("\\\n", " ").splitlines():
             words = shlex.split(line, comments=True)
             ends = [-1, *(index for index, word in enumerate(words) if word == "&&"), len(words)]
             found += [Call(tuple(words[first + 1 : end])) for first, end in pairwise(ends)]
