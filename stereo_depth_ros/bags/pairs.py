@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
-from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
+from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics, info_topics
 from stereo_depth_ros.bags.topics import INFO_TYPE, StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
@@ -302,15 +302,7 @@ class BagPairs:
     def _find_topics(self) -> tuple[StereoTopics, tuple[str, str]]:
         chosen = self._selection
         topics = bag_topics(self._reader, chosen.left, chosen.right, side_by_side=chosen.side_by_side)
-        if topics.left_info is None or topics.right_info is None:
-            missing = topics.left_image if topics.left_info is None else topics.right_image
-            raise TopicError(
-                f"no CameraInfo topic belongs to {missing}, topics of the bag are {', '.join(self._reader.topics)}",
-                subject=str(self._selection.path),
-                value=missing,
-                remedy="record the camera infos too",
-            )
-        return topics, (topics.left_info, topics.right_info)
+        return topics, info_topics(self._reader, topics)
 
     def _first_infos(self) -> dict[str, bytes]:
         infos = {}
