@@ -89,8 +89,8 @@ def test_a_bag_without_a_pair(tmp_path: Path) -> None:
 def test_a_bag_without_infos(tmp_path: Path) -> None:
     info = write(tmp_path / "bag.mcap", infos=0)
     assert tuple(map(str, info.problems)) == (
-        "no CameraInfo topics for /left/image_raw and /right/image_raw: record the camera infos too, or give "
-        "calibration files",
+        f"{tmp_path / 'bag.mcap'}: no CameraInfo topic belongs to /left/image_raw, topics of the bag are "
+        "/left/image_raw, /right/image_raw: record the camera infos too, or give calibration files",
     )
     assert info.exact_pairs == 5
 

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bag_kinds import write_kind
 from command_line import CommandLine
 from stereo_bags import PARAMETERS
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.writer import BagWriter
-from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.types import RectifiedPair, StereoPair
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
@@ -40,7 +40,7 @@ class Bag:
     """How a bag differs from raw images with their camera infos in /left and /right.
 
     Attributes:
-        image, info: topics, with * for left and right.
+        image, info: topics, with * for left and right; an empty one is left out.
         rectified: the images are.
         change_info: of a side and its camera info.
         change_image: of the samples of an image.
@@ -67,15 +67,13 @@ class Bag:
                 images = {"left": rectified.left, "right": rectified.right}
             for side, camera in (("left", MADE.rig.left), ("right", MADE.rig.right)):
                 stamp_ns = pair.left.stamp_ns + (self.right_late_ns if side == "right" else 0)
-                info = self.change_info(side, self._info(camera, stamp_ns))
-                bag.write(self.info.replace("*", side), info, stamp_ns)
+                info = self.change_info(side, camera_info_message(TYPES, camera, stamp_ns))
+                if self.info:
+                    bag.write(self.info.replace("*", side), info, stamp_ns)
                 if not self.joint:
                     self._write(bag, self.image.replace("*", side), images[side], stamp_ns, camera.frame_id)
             if self.joint:
                 self._write(bag, self.joint, np.concatenate([*images.values()], axis=1), pair.left.stamp_ns, "both")
-
-    def _info(self, camera: CameraModel, stamp_ns: int) -> Any:
-        return camera_info_message(TYPES, camera, stamp_ns)
 
     def _write(self, bag: BagWriter, topic: str, pixels: Any, stamp_ns: int, frame_id: str) -> None:
         changed = self.change_image(pixels)
@@ -123,6 +121,7 @@ REFUSED: Mapping[str, tuple[Bag, str, str]] = {
         "not calibrated, the size is 0x0, K and P are all zero",
         "calibrate both cameras together, and load the calibration in the driver",
     ),
+    "no camera infos": (Bag(info=""), "belongs to /left/image_raw", "record the camera infos too"),
     "both images in one topic": (
         Bag(joint="/stereo/image_raw"),
         "/stereo/image_raw looks like both images side by side, 640x240 where the camera infos are for 320x240",
@@ -181,6 +180,14 @@ def test_all_commands_use_it(kind: str, tmp_path: Path, say: Callable[..., dict[
         if command == "process":
             assert float(text.partition("valid pixels ")[2].split()[0]) > 80, text
             assert "warning" not in text or " are used, since " in text
+
+
+@pytest.mark.parametrize("kind", ["messages compressed, .mcap", "mcap of ros1", "foxglove, protobuf"])
+def test_all_commands_use_files_of_this_kind(kind: str, tmp_path: Path, say: Callable[..., dict[str, Any]]) -> None:
+    (tmp_path / "kind").mkdir()
+    path = write_kind(kind, write(tmp_path / "in.mcap", Bag()), tmp_path / "kind")
+    for command, (code, text) in say(path).items():
+        assert code == 0, (command, text)
 
 
 def test_all_commands_use_both_images_of_one_topic(tmp_path: Path, say: Callable[..., dict[str, Any]]) -> None:

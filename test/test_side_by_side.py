@@ -25,6 +25,8 @@ from stereo_depth_ros.core.errors import BagError, CalibrationError, MessageErro
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.datasets.stereo_images import BagImages
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
+from stereo_depth_ros.evaluation.bag_scenes import BagScenes
+from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.messages.image import compressed_message, decode, image_message
 from stereo_depth_ros.messages.side_by_side import split_message
 from stereo_depth_ros.messages.types import make_header
@@ -130,6 +132,8 @@ def joint_bag(source: Path, path: Path, *, packed: bool = False, odd: int = 0, i
         for message in reader.messages():
             if message.topic.endswith("camera_info") and infos:
                 bag.write_raw(f"/stereo{message.topic}", message.msgtype, message.data, message.log_time_ns)
+            elif message.topic == TRUTH_TOPIC:
+                bag.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
             elif "image" in message.topic:
                 image = reader.deserialize(message)
                 array = image.data.reshape(image.height, image.width)
@@ -195,6 +199,14 @@ def test_info_doctor_and_calibrate_read_both_from_one_topic(plain: Path, tmp_pat
     for one, other in zip(BagImages(joint, side_by_side=True), BagImages(plain), strict=True):
         np.testing.assert_array_equal(one.left, other.left)
         np.testing.assert_array_equal(one.right, other.right)
+
+
+def test_scenes_of_evaluate_are_those_of_two_topics(plain: Path, tmp_path: Path) -> None:
+    joint = joint_bag(plain, tmp_path / "joint.mcap")
+    found, expected = (BagScenes(BagSelection(bag, side_by_side=bag is joint)) for bag in (joint, plain))
+    for scene, of_plain in zip(found, expected, strict=True):
+        for name in ("left", "right", "truth_px"):
+            np.testing.assert_array_equal(getattr(scene.load(), name), getattr(of_plain.load(), name))
 
 
 def test_images_without_halves_are_left_out_and_counted(plain: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from stereo_depth_ros.bags.file_infos import file_infos
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
-from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
+from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics, info_topics
 from stereo_depth_ros.bags.topics import StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.errors import BagError, CalibrationError, MessageError, StereoDepthError, TopicError
@@ -182,21 +182,15 @@ class _Inspection:
     ) -> StereoRig | None:
         if stereo is None:
             return None
-        if stereo.left_info is None or stereo.right_info is None:
-            self.problems.append(
-                TopicError(
-                    f"no CameraInfo topics for {stereo.left_image} and {stereo.right_image}",
-                    value=(stereo.left_info, stereo.right_info),
-                    remedy="record the camera infos too, or give calibration files",
-                    settings=("camera_info",),
-                )
-            )
+        try:
+            topics = info_topics(self._reader, stereo)
+        except TopicError as error:
+            self.problems.append(error)
             return None
-        infos = self._first(stereo.left_info), self._first(stereo.right_info)
+        infos = self._first(topics[0]), self._first(topics[1])
         if None in infos:
             return None
         try:
-            topics = (stereo.left_info, stereo.right_info)
             rig = StereoRig.from_infos(*infos, topics=topics, rectified=stereo.rectified)
             for topic, image in ((stereo.left_image, left_image), (stereo.right_image, right_image)):
                 if image is not None:

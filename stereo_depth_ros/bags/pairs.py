@@ -16,7 +16,7 @@ from stereo_depth_ros.bags.file_infos import file_infos
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
-from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
+from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics, info_topics
 from stereo_depth_ros.bags.topics import INFO_TYPE, StereoTopics
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
@@ -312,16 +312,7 @@ class BagPairs:
             found = file_infos(self._reader, topics, chosen.camera_files)
             self._file_infos = dict(zip(found.rig.topics, found.messages(self._types), strict=True))
             return found.topics, found.rig.topics
-        if topics.left_info is None or topics.right_info is None:
-            missing = topics.left_image if topics.left_info is None else topics.right_image
-            raise TopicError(
-                f"no CameraInfo topic belongs to {missing}, topics of the bag are {', '.join(self._reader.topics)}",
-                subject=str(self._selection.path),
-                value=missing,
-                remedy="record the camera infos too, or give calibration files",
-                settings=("camera_info",),
-            )
-        return topics, (topics.left_info, topics.right_info)
+        return topics, info_topics(self._reader, topics)
 
     def _first_infos(self) -> dict[str, bytes]:
         if self._file_infos:

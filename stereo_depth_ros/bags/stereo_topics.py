@@ -15,7 +15,7 @@ from stereo_depth_ros.core.errors import StereoDepthError, TopicError
 from stereo_depth_ros.messages.image import image_size
 from stereo_depth_ros.messages.side_by_side import WIDE, split_message
 
-__all__ = ["CameraImages", "bag_candidates", "bag_topics"]
+__all__ = ["CameraImages", "bag_candidates", "bag_topics", "info_topics"]
 
 
 def bag_topics(
@@ -55,6 +55,24 @@ def bag_candidates(
                 return found
         hint = None if side_by_side else next((_look_like_two(*each) for each in wide), None)
         raise (hint or error).about(reader.path) from error
+
+
+def info_topics(reader: BagReader, topics: StereoTopics) -> tuple[str, str]:
+    """The camera infos of both cameras.
+
+    Raises:
+        TopicError: a camera without one.
+    """
+    if topics.left_info is not None and topics.right_info is not None:
+        return topics.left_info, topics.right_info
+    missing = topics.left_image if topics.left_info is None else topics.right_image
+    raise TopicError(
+        f"no CameraInfo topic belongs to {missing}, topics of the bag are {', '.join(reader.topics)}",
+        subject=str(reader.path),
+        value=missing,
+        remedy="record the camera infos too, or give calibration files",
+        settings=("camera_info",),
+    )
 
 
 def _joint_topics(reader: BagReader, named: str | None) -> Iterator[tuple[StereoTopics, str]]:

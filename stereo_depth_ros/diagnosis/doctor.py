@@ -95,7 +95,7 @@ def _examine_camera(setup: StereoSetup, side: str, record: CameraRecord) -> tupl
     check, topic = f"{side} camera info", record.info_topic
     if not record.infos:
         value = f"nothing on {topic}" if topic else f"none belongs to {record.image_topic}"
-        remedy = setup.silent.get(topic or "", "publish camera infos and record them, or give calibration files")
+        remedy = setup.silent.get(topic or "", "record the camera infos too, or give calibration files")
         return [Finding(check, Level.ERROR, value, "1", remedy)], None
     findings = []
     if len(record.infos) > 1:
