@@ -13,7 +13,7 @@ from rendered_boards import chessboard_points
 
 from stereo_depth_ros.calibration.board_views import BoardView, Coverage, Placement, ViewCollector, placement
 from stereo_depth_ros.calibration.boards import Board, Corners
-from stereo_depth_ros.calibration.view_finder import find_views
+from stereo_depth_ros.calibration.view_finder import find_views, first_of
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.datasets.stereo_images import ImagePair
@@ -149,3 +149,29 @@ def test_one_camera_does_not_see_the_board() -> None:
 def test_images_of_two_sizes() -> None:
     with pytest.raises(CalibrationError, match=r"0\.png \(right\): image size 320x200, 0\.png \(left\) is 640x400"):
         find_views(Shown([(50, 50)], sizes=(SIZE, (320, 200))), Shown5x4(), other)
+
+
+def test_many_skipped_pairs_are_counted() -> None:
+    assert first_of(["a", "b"]) == ["a", "b"]
+    assert first_of([str(number) for number in range(40)])[-2:] == ["29", "10 more skipped"]
+    with pytest.raises(CalibrationError, match=r"no pair of images can be read \(0; 1; .*; 29; 2 more skipped\)"):
+        find_views(Shown([], unreadable=[str(number) for number in range(32)]), Shown5x4(), other)
+    with pytest.raises(CalibrationError, match="there is no pair of images"):
+        find_views(Shown([]), Shown5x4(), other)
+
+
+def test_the_size_of_most_images_counts() -> None:
+    class Mixed(Shown):
+        def __iter__(self) -> Iterator[ImagePair]:
+            small = np.full((200, 320), 60, np.uint8)
+            yield ImagePair("first.png", small, small)
+            yield from super().__iter__()
+            yield ImagePair("odd.png", np.full(SIZE[::-1], 50, np.uint8), small)
+
+    found = find_views(Mixed([(50, 40), (200, 0)]), Shown5x4(), other)
+    assert [view.name for view in found.views] == ["0.png"]
+    assert (found.left_only, found.pairs) == (["1.png"], 4)
+    assert found.skipped == [
+        "first.png: skipped, it is 320x200, most images are 640x400",
+        "odd.png: skipped, it is 640x400 and 320x200, most images are 640x400",
+    ]

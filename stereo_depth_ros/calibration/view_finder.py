@@ -22,8 +22,9 @@ from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.datasets.stereo_images import ImagePair, StereoImages
 
-__all__ = ["FoundViews", "find_views"]
+__all__ = ["FoundViews", "find_views", "first_of"]
 
+_MOST = 30  # pairs that are named
 _SMALL_PX = 800  # width to which these are reduced
 _KEPT = 2  # first, and last, images without the board, examined again for boards of other sizes
 
@@ -160,14 +161,21 @@ class _Sizes:
             yield f"{name}: skipped, it is {size}, most images are {_text(self.common)}"
 
 
+def first_of(sentences: Sequence[str]) -> list[str]:
+    """The first sentences, and how many more there are: a damaged recording has thousands of pairs."""
+    more = [f"{len(sentences) - _MOST} more skipped"] if len(sentences) > _MOST else []
+    return [*sentences[:_MOST], *more]
+
+
 def _text(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]}"
 
 
 def _check_any(found: FoundViews, sizes: _Sizes) -> None:
     if not sizes.pairs:
+        reasons = "; ".join(first_of(found.skipped))
         raise CalibrationError(
-            f"no pair of images can be read ({'; '.join(found.skipped)})" if found.skipped else "there are no images",
+            f"no pair of images can be read ({reasons})" if reasons else "there is no pair of images",
             value=0,
             limit=1,
             remedy="copy the images again",

@@ -16,7 +16,7 @@ from stereo_depth_ros.calibration.calibration_files import calibration_files, sa
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS
 from stereo_depth_ros.calibration.projection import MODELS, check_model
 from stereo_depth_ros.calibration.stereo_calibration import calibrate as calibrate_rig
-from stereo_depth_ros.calibration.view_finder import FoundViews, find_views
+from stereo_depth_ros.calibration.view_finder import FoundViews, find_views, first_of
 from stereo_depth_ros.cli.calibrate_tables import calibrate_tables, calibrate_values
 from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
@@ -91,7 +91,8 @@ def calibrate(
 
     In a folder, the names of the two images of a pair differ only in the camera: left01.png and right01.png,
     left/01.png and right/01.png, cam0/01.png and cam1/01.png; with --side-by-side each file holds both. From a bag,
-    views that differ from each other are selected. Both cameras must see the whole chessboard, or a part of a ChArUco
+    views that differ from each other are selected. Files with other names are found by patterns: --left "a*.png" --right "b*.png", or
+    --left "cam*/*.png" for both cameras. Both cameras must see the whole chessboard, or a part of a ChArUco
     board or an aprilgrid.
 
     --size counts inner corners of a chessboard, squares of a ChArUco board, or tags of an aprilgrid (family 36h11, in
@@ -100,7 +101,7 @@ def calibrate(
 
     DIR receives left.yaml and right.yaml in the format of camera_calibration, calibration.json, calibration.txt with
     the standard deviation of each parameter, and coverage.png. Views with much larger errors than the others are
-    dropped with a warning.
+    dropped with a warning; images that cannot be read, or have another size than most, are skipped and named.
 
     \b
     Examples:
@@ -128,7 +129,7 @@ def calibrate(
     check_outputs([*calibration_files(output), coverage], images.files, reports=[json_file], overwrite=overwrite)
     with progress_bar("looking for the board") as progress:
         found = find_views(images, sought, board_of_size, progress)
-    warnings = [*images.warnings, *found.skipped, *_warnings(found)]
+    warnings = [*images.warnings, *first_of(found.skipped), *_warnings(found)]
     try:
         result = calibrate_rig(found.views, model, found.circles)
     except CalibrationError as error:
@@ -162,4 +163,4 @@ def _reasons(found: FoundViews) -> str:
     """Why the other pairs were not used, if there are too few views."""
     if len(found.views) >= MIN_VIEWS:
         return ""
-    return f" ({'; '.join([f'{found.pairs} pairs examined', *_warnings(found), *found.skipped])})"
+    return f" ({'; '.join([f'{found.pairs} pairs examined', *_warnings(found), *first_of(found.skipped)])})"
