@@ -22,6 +22,7 @@ from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config.values import pipeline_config
+from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import compressed_message, image_message
 from stereo_depth_ros.offline.engine import process_bag
@@ -202,5 +203,8 @@ def test_a_bag_of_bytes_that_are_no_foxglove_messages_is_named(tmp_path: Path) -
             channel = writer.register_channel(f"/{side}/image_raw", "protobuf", schema)
             writer.add_message(channel, 10, b"\x08\x01", 10)
         writer.finish()
-    with pytest.raises(Exception, match=r"2 bytes are not a foxglove\.RawImage of protobuf: field 1, timestamp, has"):
-        inspect_bag(path)
+    damage, missing = map(str, inspect_bag(path).problems)
+    assert "2 bytes are not a foxglove.RawImage of protobuf: field 1, timestamp, has" in damage
+    assert "no CameraInfo topic belongs to /left/image_raw" in missing
+    findings = [finding for finding in survey_bag(BagSelection(path)).findings if finding.check == "bag"]
+    assert len(findings) == 1 and "2 bytes are not a foxglove.RawImage" in findings[0].value

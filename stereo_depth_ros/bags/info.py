@@ -203,7 +203,11 @@ class _Inspection:
     def count_pairs(self, stereo: StereoTopics | None, tolerance_s: float) -> tuple[int, int]:
         if stereo is None:
             return 0, 0
-        arrivals = self._arrivals(stereo)
+        try:
+            arrivals = self._arrivals(stereo)
+        except BagError as error:
+            self._add_damage(error)
+            return 0, 0
         near = PairingConfig(approximate_sync=True, approximate_sync_tolerance_seconds=tolerance_s)
         exact_pairs, near_pairs = _count_pairs(arrivals, PairingConfig()), _count_pairs(arrivals, near)
         if unset := unset_stamps(arrivals, (stereo.left_image, stereo.right_image)):
@@ -224,10 +228,19 @@ class _Inspection:
         return arrivals
 
     def _first_message(self, topic: str) -> BagMessage | None:
-        message = next(self._reader.messages([topic]), None)
+        try:
+            message = next(self._reader.messages([topic]), None)
+        except BagError as error:
+            self._add_damage(error)
+            return None
         if message is None:
             self.problems.append(TopicError(f"{topic} has no messages", value=0, remedy="record it again"))
         return message
+
+    def _add_damage(self, error: BagError) -> None:
+        """No message of a topic can be read; later errors count the same messages again."""
+        if not any(isinstance(problem, BagError) for problem in self.problems):
+            self.problems.append(error)
 
     def _first(self, topic: str) -> Any:
         message = self._first_message(topic)

@@ -17,7 +17,7 @@ from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
 from stereo_depth_ros.bags.topics import StereoTopics
-from stereo_depth_ros.core.errors import MessageError
+from stereo_depth_ros.core.errors import BagError, MessageError
 from stereo_depth_ros.core.pairing import StereoPairing
 from stereo_depth_ros.diagnosis.finding import Finding, Level
 from stereo_depth_ros.diagnosis.stereo_choice import CHOICE_REMEDY, choose_topics
@@ -26,6 +26,7 @@ from stereo_depth_ros.diagnosis.survey import NEAR, PAIRS_EXAMINED, StereoSetup,
 __all__ = ["survey_bag"]
 
 _Times: TypeAlias = tuple[int, int]  # stamp and log time of an image, ns
+_Images: TypeAlias = tuple[list[_Times], list[_Times]]  # of the left and the right ones
 
 
 def survey_bag(selection: BagSelection, progress: Callable[[int, int], None] = lambda done, total: None) -> StereoSetup:
@@ -52,7 +53,15 @@ def survey_bag(selection: BagSelection, progress: Callable[[int, int], None] = l
                 survey.add_info(side, data)
         if note:
             survey.findings.append(Finding("topics", Level.WARNING, note, "the preferred ones fit", CHOICE_REMEDY))
-        images = _read(reader, topics, cameras, survey, progress)
+        images: _Images = [], []
+        try:
+            _read(reader, topics, cameras, survey, images, progress)
+        except BagError as error:  # no message can be read
+            damage = Finding.refused("bag", error)
+        else:  # known when everything is read
+            damage = Finding("bag", Level.WARNING, reader.warning, "whole", "record again, or repair it")
+        if damage.value:
+            survey.findings.insert(0, damage)
         names = (topics.left_image, topics.right_image)
         for times in _spread(_paired(*images)):
             try:
@@ -61,9 +70,6 @@ def survey_bag(selection: BagSelection, progress: Callable[[int, int], None] = l
                 survey.findings.append(Finding.refused(f"images of {names[0]}", error))
                 break
             survey.add_pair(left, right)
-        if reader.warning:  # known when everything is read
-            warning = Finding("bag", Level.WARNING, reader.warning, "whole", "record again, or repair it")
-            survey.findings.insert(0, warning)
         return survey.setup()
 
 
@@ -72,10 +78,10 @@ def _read(
     topics: StereoTopics,
     cameras: CameraImages,
     survey: Survey,
+    images: _Images,
     progress: Callable[[int, int], None],
-) -> tuple[list[_Times], list[_Times]]:
-    """Adds all stamps and camera infos; the times of the images by side."""
-    images: tuple[list[_Times], list[_Times]] = [], []
+) -> None:
+    """Adds all stamps and camera infos to the survey, and the times of the images."""
     info_sides = {topics.left_info: "left", topics.right_info: "right"}
     wanted = [topic for topic in (*cameras.names, *info_sides) if topic is not None]
     total = sum(reader.topics[topic].count for topic in wanted)
@@ -87,7 +93,6 @@ def _read(
         else:
             survey.add_info(info_sides[message.topic], message.data)
         progress(number, total)
-    return images
 
 
 def _paired(left: list[_Times], right: list[_Times]) -> list[tuple[_Times, _Times]]:
