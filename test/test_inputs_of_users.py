@@ -18,6 +18,7 @@ from stereo_bags import PARAMETERS
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.types import RectifiedPair, StereoPair
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
@@ -193,6 +194,17 @@ def test_all_commands_use_files_of_this_kind(kind: str, tmp_path: Path, say: Cal
 def test_all_commands_use_both_images_of_one_topic(tmp_path: Path, say: Callable[..., dict[str, Any]]) -> None:
     path = write(tmp_path / "in.mcap", Bag(joint="/stereo/image_raw"))
     for command, (code, text) in say(path, "--side-by-side").items():
+        assert code == 0, (command, text)
+
+
+def test_all_commands_use_images_side_by_side_with_calibration_files(
+    tmp_path: Path, say: Callable[..., dict[str, Any]]
+) -> None:
+    path, files = write(tmp_path / "in.mcap", Bag(joint="/stereo/image_raw", info="")), []
+    for side, camera in (("left", MADE.rig.left), ("right", MADE.rig.right)):
+        files.append(str(tmp_path / f"{side}.yaml"))
+        write_camera(tmp_path / f"{side}.yaml", camera, side)
+    for command, (code, text) in say(path, "--side-by-side", "--camera-info", *files).items():
         assert code == 0, (command, text)
 
 

@@ -18,6 +18,7 @@ from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.stereo_topics import CameraImages, bag_topics
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.config.values import pipeline_config
@@ -249,6 +250,17 @@ def test_the_topic_with_both_images_is_found_among_others(plain: Path, tmp_path:
     assert inspect_bag(more, side_by_side=True).usable
     (problem,) = inspect_bag(more).problems
     assert "/stereo/image_raw looks like both images side by side, 400x150 where" in str(problem)
+
+
+def test_images_without_camera_infos_have_two_frames(plain: Path, tmp_path: Path) -> None:
+    """Their calibration comes from files; the doctor compares the frames of both images with those of the cameras."""
+    bare = joint_bag(plain, tmp_path / "bare.mcap", infos=False)
+    with BagReader(bare) as reader:
+        topics = bag_topics(reader, side_by_side=True)
+        images = CameraImages(reader, topics)
+        halves = [data for _, data in images.of(next(reader.messages(images.names)))]
+    frames = [TYPES.deserialize(data, topics.image_type).header.frame_id for data in halves]
+    assert frames == ["stereo", "stereo_right"]
 
 
 def test_images_of_one_camera_are_not_taken_for_two(plain: Path, tmp_path: Path) -> None:

@@ -161,6 +161,7 @@ class CameraImages:
             yield self.sides(message.topic)[0], message.data
             return
         whole = self._reader.deserialize(message)
-        frames = self._frames[0] or whole.header.frame_id, self._frames[1]
+        frame = whole.header.frame_id
+        frames = self._frames[0] or frame, self._frames[1] or (f"{frame}_right" if frame else "")
         for side, half in enumerate(split_message(self._types, whole, message.topic, frames)):
             yield side, self._types.serialize(half)
