@@ -151,7 +151,8 @@ def test_invalid_scenes_are_skipped_with_a_warning(run: Run, tmp_path: Path) -> 
     lines = err.splitlines()
     assert len(lines) == 4 and lines[-1].startswith("error: 3 skipped")
     assert lines[0].startswith("warning: scaled skipped: the scale of the truth looks wrong, it is about 4 times")
-    assert lines[1].startswith("warning: small skipped: sizes differ: left 170x96, right 170x96, truth 168x96")
+    truth = tmp_path / "small" / "disp0.pfm"
+    assert lines[1].startswith(f"warning: small skipped: {truth}: its disparities are 168x96, the images are 170x96: ")
     assert lines[2].startswith("warning: swapped skipped: cameras look swapped")
     code, out, err = run(tmp_path / "swapped", "--matcher", "bm", *SMALL)
     assert (code, out) == (1, "")
