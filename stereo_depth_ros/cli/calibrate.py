@@ -90,10 +90,10 @@ def calibrate(
     """Calibrate both cameras and the rig from image pairs of a calibration board.
 
     In a folder, the names of the two images of a pair differ only in the camera: left01.png and right01.png,
-    left/01.png and right/01.png, cam0/01.png and cam1/01.png; with --side-by-side each file holds both. From a bag,
-    views that differ from each other are selected. Files with other names are found by patterns: --left "a*.png" --right "b*.png", or
-    --left "cam*/*.png" for both cameras. Both cameras must see the whole chessboard, or a part of a ChArUco
-    board or an aprilgrid.
+    left/01.png and right/01.png, cam0/01.png and cam1/01.png; with --side-by-side each file holds both. Files with
+    other names are found by patterns: --left "a*.png" --right "b*.png", or --left "cam*/*.png" for both cameras. From a
+    bag, views that differ from each other are selected. Both cameras must see the whole chessboard, or a part of a
+    ChArUco board or an aprilgrid.
 
     --size counts inner corners of a chessboard, squares of a ChArUco board, or tags of an aprilgrid (family 36h11, in
     the layout of Kalibr). Use plumb_bob for common lenses, rational_polynomial for wide-angle lenses (with many views
