@@ -118,6 +118,8 @@ def _ros1(messages: list[BagMessage], folder: Path, compression: rosbag1.Writer.
 
 
 def _mcap(messages: list[BagMessage], folder: Path, encoding: str, compressed: bool = False) -> Path:
+    if encoding in ("protobuf", "json"):  # Foxglove has no disparities
+        messages = [message for message in messages if message.msgtype.split("/")[-1] in _NAMES]
     path = folder / "bag.mcap"
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=100_000)

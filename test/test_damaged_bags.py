@@ -14,7 +14,7 @@ import pytest
 import zstandard
 from bag_kinds import TYPES
 from command_line import CommandLine
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 from rosbags import rosbag1
 from stereo_bags import sequence, write_truth_bag
 from test_bag_reader import IMAGE, IN_ORDER, cdr, write_mcap, write_rosbag2
@@ -127,6 +127,26 @@ def test_a_ros1_bag_without_index_is_read(tmp_path: Path) -> None:
     path.write_bytes(data[: data.rindex(b"op=\x05") + 500])  # as of a killed recorder: no index, last chunk cut
     times, warning = read(path)
     assert times == ALL[:-1] and warning == "is cut in the middle: the 6 messages before the cut are read"
+
+
+def test_a_ros1_index_of_a_connection_that_is_not_there(tmp_path: Path) -> None:
+    path = write_ros1(tmp_path / "bag.bag")
+    assert read(flipped(path, len(path.read_bytes()) - 8, 64)) == (ALL, "")  # that of the messages of the last chunk
+
+
+def test_a_message_with_a_damaged_log_time_is_at_its_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1, enable_crcs=False, compression=CompressionType.NONE)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/a", "cdr", writer.register_schema(IMAGE, "ros2msg", b"x"))
+        for stamp in ALL:
+            writer.add_message(channel, stamp, cdr(stamp), stamp, sequence=99)
+        writer.finish()
+    flipped(path, path.read_bytes().index(struct.pack("<IQ", 99, 30)) + 10)
+    assert read(path) == (ALL, "")
+    with BagReader(path) as reader:
+        assert [message.data for message in reader.messages(["/a"], 30, 30)] == [cdr(30)]
 
 
 def write_sqlite(path: Path) -> bytes:

@@ -80,7 +80,7 @@ class Chunk:
     Attributes:
         offset: where it begins in the file, bytes.
         start_ns, end_ns: log times of its first and last message.
-        counts: messages by channel; empty where no index tells.
+        counts: messages by channel.
         cut: the file ends in it, so that its first messages are all there is.
     """
 
@@ -149,7 +149,7 @@ class ChunkedFile(ABC):
         queue: list[tuple[int, int, int, Chunk | StoredMessage]] = [
             (chunk.start_ns, chunk.offset, -1, chunk)
             for chunk in self.chunks
-            if chunk.start_ns <= end_ns and chunk.end_ns >= start_ns and (not chunk.counts or ids.keys() & chunk.counts)
+            if chunk.start_ns <= end_ns and chunk.end_ns >= start_ns and ids.keys() & chunk.counts.keys()
         ]
         heapq.heapify(queue)
         while queue:
@@ -186,8 +186,10 @@ class ChunkedFile(ABC):
         """The messages of some channels in a chunk; none, and a loss, where it is damaged."""
         messages: list[StoredMessage] = []
         try:
-            for message in self._read(chunk, ids):
-                messages.append(message)  # those before the damage remain
+            # the same messages whatever part of the bag is read: of channels in the counts, at times within the range
+            for message in self._read(chunk, ids.keys() & chunk.counts.keys()):  # those before the damage remain
+                log_time_ns = min(max(message.log_time_ns, chunk.start_ns), chunk.end_ns)
+                messages.append(message._replace(log_time_ns=log_time_ns))
         except Exception as error:  # of the libraries that parse and decompress it, which have no common base class
             if not chunk.cut:
                 self.losses.add_chunk((self.path, chunk.offset), self.by_topic(chunk.counts), cause_text(error))

@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Set
 
 from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.quoted import quoted
 
 __all__ = ["Losses", "cause_text"]
+
+_MOST_TOPICS, _LONGEST_NAME = 10, 80  # in a sentence
 
 
 class Losses:
@@ -58,7 +62,9 @@ class Losses:
                 topics.update(messages)
         if not losses:
             return ""
-        counts = [f"{topic} {count}" for topic, count in sorted(topics.items())]
+        counts = [f"{_name(topic)} {count}" for topic, count in sorted(topics.items())[:_MOST_TOPICS]]
+        if len(topics) > _MOST_TOPICS:
+            counts.append(f"and of {len(topics) - _MOST_TOPICS} more topics")
         total = sum(topics.values())
         lost = f"{total} {'message is' if total == 1 else 'messages are'} lost, {', '.join(counts)}" if total else ""
         if not chunks:
@@ -68,13 +74,22 @@ class Losses:
         return f"{chunks} {'chunk is' if chunks == 1 else 'chunks are'} damaged ({losses[0]._cause}): {lost}"
 
 
+def _name(topic: str) -> str:
+    """A topic as it is, or in quotes where its name is not one of ROS."""
+    return topic if len(topic) <= _LONGEST_NAME and topic.isprintable() else quoted(topic)
+
+
 def cause_text(error: Exception) -> str:
-    """What an error says, in one line: its problem, or its text, or the name of its class where it has none."""
+    """What an error says, in one line: its problem, or its text where it is about the data."""
     if isinstance(error, UnicodeDecodeError):
         return "a text in it is not UTF-8"
     if isinstance(error, KeyError):
         return "a field of it is missing"
     if isinstance(error, RecursionError):
         return "it is nested too deep"
+    if isinstance(error, (struct.error, IndexError, EOFError)):
+        return "a number in it is cut"
+    if isinstance(error, (AssertionError, AttributeError, TypeError, MemoryError)):  # of libraries, about themselves
+        return "it is damaged"
     text = error.problem if isinstance(error, StereoDepthError) else str(error)
-    return " ".join(text.split()).rstrip(".")[:200] or type(error).__name__
+    return " ".join(text.split()).rstrip(".")[:200] or "it is damaged"

@@ -111,7 +111,8 @@ class Ros1File(ChunkedFile):
                 chunks -= 1
             else:
                 raise ValueError(f"a record of op {record.op}")
-        if chunks or connections != len(self.channels):
+        known = all(chunk.counts.keys() <= self.channels.keys() for chunk in self.chunks)
+        if chunks or connections != len(self.channels) or not known:
             raise ValueError("the index is incomplete")
 
     def _scan(self, offset: int) -> None:
