@@ -135,3 +135,5 @@ def test_commands_show_progress_without_a_terminal(
 ) -> None:
     monkeypatch.setattr(output, "_EVERY_S", 0.0)
     assert "reading: " in command_line("doctor")(hostile)[2]
+    small = ("--frames", "2", "--width", "32", "--height", "24", "--overwrite")
+    assert "rendering: 2 of 2\n" in command_line("synthesize")(hostile.with_name("small.mcap"), *small)[2]

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,6 @@ __all__ = [
     "show",
     "tell",
     "warn",
-    "working",
 ]
 
 EXIT_ERROR, EXIT_INCOMPLETE = 1, 3
@@ -52,11 +51,6 @@ def tell(text: str) -> None:
 def warn(text: str) -> None:
     """Print a warning."""
     tell(f"warning: {text}")
-
-
-def working(title: str) -> AbstractContextManager[object]:
-    """A moving sign on a terminal during the ``with`` block."""
-    return _messages.status(title)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from stereo_depth_ros.cli.options import Overwrite, new_app
-from stereo_depth_ros.cli.output import tell, working
+from stereo_depth_ros.cli.output import progress_bar, tell
 from stereo_depth_ros.synthetic.bag import write_synthetic_bag
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
@@ -34,6 +34,7 @@ def synthesize(
     Example:
       stereo-depth synthesize room.mcap --frames 50 --seed 3
     """
-    with working("rendering"):
-        write_synthetic_bag(output, SyntheticSequence(frames, width, height, seed), overwrite=overwrite)
+    with progress_bar("rendering") as progress:
+        sequence = SyntheticSequence(frames, width, height, seed)
+        write_synthetic_bag(output, sequence, overwrite=overwrite, progress=progress)
     tell(f"{frames} pairs written to {output}")

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,13 @@ __all__ = ["TRUTH_STEP_PX", "write_synthetic_bag"]
 TRUTH_STEP_PX = 1 / 256  # unrounded float32 compresses eight times worse
 
 
-def write_synthetic_bag(path: Path, sequence: SyntheticSequence, *, overwrite: bool = False) -> None:
+def write_synthetic_bag(
+    path: Path,
+    sequence: SyntheticSequence,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> None:
     """Write all frames of ``sequence``; equal sequences give equal files.
 
     Topics: ``image_raw`` and ``camera_info`` in ``/left`` and ``/right``, and ``/truth/disparity``, a
@@ -32,6 +39,7 @@ def write_synthetic_bag(path: Path, sequence: SyntheticSequence, *, overwrite: b
         path: file to create, must end in ``.mcap``.
         sequence: the sequence to write.
         overwrite: replace an existing file.
+        progress: called after each frame with the frames written and all frames.
 
     Raises:
         BagError: wrong suffix.
@@ -39,8 +47,9 @@ def write_synthetic_bag(path: Path, sequence: SyntheticSequence, *, overwrite: b
     """
     types = RosbagsTypes()
     with BagWriter(path, overwrite=overwrite) as bag:
-        for frame in sequence:
+        for number, frame in enumerate(sequence, start=1):
             _write_frame(bag, types, frame, sequence.rig)
+            progress(number, len(sequence))
 
 
 def _write_frame(bag: BagWriter, types: RosbagsTypes, frame: SyntheticFrame, rig: StereoRig) -> None:
