@@ -70,7 +70,8 @@ class Losses:
         if not chunks:
             return f"{lost} ({losses[0]._cause})"
         if unknown:
-            lost += f"{', and ' if lost else ''}all messages of {unknown} of them are lost, how many is not known"
+            more = f"{lost}, and those of {unknown} of the chunks" if lost else "the messages are lost"
+            lost = f"{more}, how many is not known"
         return f"{chunks} {'chunk is' if chunks == 1 else 'chunks are'} damaged ({losses[0]._cause}): {lost}"
 
 
