@@ -25,7 +25,6 @@ import sys
 import threading
 import time
 import traceback
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -180,7 +179,6 @@ def work(name: str, output: Path, seed: int) -> int:
     lines = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # a command writes to its own standard output
     module, target = targets(), target_of(name)
-    warnings.simplefilter("error", RuntimeWarning)
     chunk = settings(
         max_examples=CHUNK,
         database=None,
