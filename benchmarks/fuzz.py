@@ -22,6 +22,7 @@ import resource
 import secrets
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import traceback
@@ -123,8 +124,13 @@ def run_worker(name: str, seconds: float, seed: int, output: Path, tally: Tally)
     """One process, until the time is over, it ends, or a case takes too long."""
     output.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, str(Path(__file__).resolve()), "--worker", name, "--seed", str(seed)]
+    scratch = tempfile.TemporaryDirectory()  # of a process that is killed, which removes nothing
     process = subprocess.Popen(
-        [*command, "--output", str(output)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        [*command, "--output", str(output)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "TMPDIR": scratch.name},
     )
     lines: queue.Queue[str] = queue.Queue()
     assert process.stdout is not None
@@ -160,6 +166,7 @@ def run_worker(name: str, seconds: float, seed: int, output: Path, tally: Tally)
         process.wait()
         reader.join()
         current.unlink(missing_ok=True)
+        scratch.cleanup()
 
 
 def keep(output: Path, name: str, place: str, why: str, case: bytes) -> None:
