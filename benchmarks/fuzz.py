@@ -22,10 +22,10 @@ import resource
 import secrets
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import traceback
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,8 +124,13 @@ def run_worker(name: str, seconds: float, seed: int, output: Path, tally: Tally)
     """One process, until the time is over, it ends, or a case takes too long."""
     output.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, str(Path(__file__).resolve()), "--worker", name, "--seed", str(seed)]
+    scratch = tempfile.TemporaryDirectory()  # of a process that is killed, which removes nothing
     process = subprocess.Popen(
-        [*command, "--output", str(output)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        [*command, "--output", str(output)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "TMPDIR": scratch.name},
     )
     lines: queue.Queue[str] = queue.Queue()
     assert process.stdout is not None
@@ -161,6 +166,7 @@ def run_worker(name: str, seconds: float, seed: int, output: Path, tally: Tally)
         process.wait()
         reader.join()
         current.unlink(missing_ok=True)
+        scratch.cleanup()
 
 
 def keep(output: Path, name: str, place: str, why: str, case: bytes) -> None:
@@ -180,7 +186,6 @@ def work(name: str, output: Path, seed: int) -> int:
     lines = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # a command writes to its own standard output
     module, target = targets(), target_of(name)
-    warnings.simplefilter("error", RuntimeWarning)
     chunk = settings(
         max_examples=CHUNK,
         database=None,

@@ -18,6 +18,7 @@ import struct
 import sys
 import tarfile
 import tempfile
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -131,7 +132,8 @@ def run_case(target: Target, case: Any) -> None:
     Raises:
         whatever else the target raises.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)  # numpy's, which a user would see
         try:
             target.run(case, Path(folder))
         except StereoDepthError as error:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import struct
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -125,7 +126,8 @@ def test_text_files(kind: str, name: str, old: str, new: str, says: str, tmp_pat
     changed = new if old == SENSOR else text.replace(old, new)
     assert changed != text
     (tmp_path / name).write_bytes(changed.encode("latin-1"))
-    with pytest.raises(StereoDepthError, match=says) as caught:
+    with warnings.catch_warnings(), pytest.raises(StereoDepthError, match=says) as caught:
+        warnings.simplefilter("error")
         list(READERS[kind](tmp_path))
     assert caught.value.remedy
 

@@ -170,7 +170,8 @@ class StereoRig:
         """A rig of rectified images; focal lengths and principal points in px, size (width, height)."""
 
         def camera(cx: float, baseline_m: float) -> CameraModel:
-            P = np.array([[fx, 0, cx, -fx * baseline_m], [0, fy, cy, 0], [0, 0, 1, 0]])
+            # As Python's numbers, which are infinite without a warning: the checks of a rig refuse them.
+            P = np.array([[fx, 0, cx, -float(fx) * float(baseline_m)], [0, fy, cy, 0], [0, 0, 1, 0]])
             return CameraModel(*size, "plumb_bob", P[:, :3], np.zeros(5), np.identity(3), P, frame_id)
 
         return cls(camera(cx_left, 0.0), camera(cx_right, baseline_m))
