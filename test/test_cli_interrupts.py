@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import CommandLine, Run
@@ -32,6 +35,22 @@ def test_an_interrupt_in_a_callback_ends_the_command(monkeypatch: pytest.MonkeyP
         assert signal.getsignal(signal.SIGTERM) is signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def test_an_interrupt_that_is_lost_in_a_callback_of_c_leaves_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda lost: told.append(lost.exc_type))
+
+    def called_by_c(error: type[BaseException]) -> None:
+        def fail() -> None:
+            raise error
+
+        ctypes.CFUNCTYPE(None)(fail)()
+
+    with interrupts._lost_interrupts_are_silent():
+        called_by_c(interrupts.Interrupted)
+        called_by_c(ZeroDivisionError)
+    assert told == [ZeroDivisionError]
 
 
 def test_an_interrupt_ends_the_compilation_before_the_next_kernel(monkeypatch: pytest.MonkeyPatch) -> None:

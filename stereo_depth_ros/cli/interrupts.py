@@ -40,12 +40,23 @@ def interrupts_end_the_command() -> Iterator[None]:
             _tell(outputs)
             os._exit(EXIT_INTERRUPTED)
 
-        with handled_signals(_interrupt, _END_S, end_now):
+        with handled_signals(_interrupt, _END_S, end_now), _lost_interrupts_are_silent():
             try:
                 yield
             except (Interrupted, KeyboardInterrupt):
                 _tell(outputs)
                 sys.exit(EXIT_INTERRUPTED)
+
+
+@contextmanager
+def _lost_interrupts_are_silent() -> Iterator[None]:
+    """An Interrupted that is raised where C calls Python, as in a compilation, is lost: no traceback tells so."""
+    former = sys.unraisablehook
+    sys.unraisablehook = lambda lost: None if isinstance(lost.exc_value, Interrupted) else former(lost)
+    try:
+        yield
+    finally:
+        sys.unraisablehook = former
 
 
 def _interrupt(*_: Any) -> None:

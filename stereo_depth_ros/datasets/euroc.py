@@ -17,7 +17,7 @@ from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.text_files import read_text
 from stereo_depth_ros.datasets.dataset import DatasetFrame
-from stereo_depth_ros.datasets.image_files import check_sizes, read_frame
+from stereo_depth_ros.datasets.image_files import check_sizes, framed, read_frame
 
 __all__ = ["EurocDataset"]
 
@@ -93,7 +93,7 @@ def _read_index(camera: Path) -> dict[int, Path]:
 
 def _rig(left: Path, right: Path) -> StereoRig:
     try:
-        return read_rig_files([left, right])
+        return framed(read_rig_files([left, right]))
     except CalibrationError as error:
         raise BagError(
             f"is not the sensor.yaml of an EuRoC camera ({error.problem})",

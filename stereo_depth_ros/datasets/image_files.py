@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ __all__ = [
     "IMAGE_SUFFIXES",
     "check_sizes",
     "checked_truth",
+    "framed",
     "image_frame",
     "list_images",
     "read_disparity_image",
@@ -125,6 +127,12 @@ def read_frame(path: Path, camera: CameraModel, stamp_ns: int = 0) -> Frame:
 def image_frame(pixels: U8, camera: CameraModel, stamp_ns: int = 0) -> Frame:
     """The pixels of :func:`read_image` as a frame of ``camera``, mono8 or bgr8."""
     return Frame(pixels, stamp_ns, camera.frame_id, "mono8" if pixels.ndim == 2 else "bgr8")
+
+
+def framed(rig: StereoRig) -> StereoRig:
+    """The same rig with the frame_id of the left camera: calibration files have none."""
+    left, right = (replace(camera, frame_id="left_optical_frame") for camera in (rig.left, rig.right))
+    return replace(rig, left=left, right=right)
 
 
 def check_sizes(rig: StereoRig, path: Path) -> None:

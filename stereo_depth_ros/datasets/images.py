@@ -5,14 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from stereo_depth_ros.camera_files.reading import read_rig_files, rig_file_paths
 from stereo_depth_ros.core.errors import BagError
-from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.datasets.dataset import DatasetFrame
-from stereo_depth_ros.datasets.image_files import image_frame, list_images, read_pair
+from stereo_depth_ros.datasets.image_files import framed, image_frame, list_images, read_pair
 from stereo_depth_ros.datasets.image_pairs import ImagePairs, find_image_pairs
 
 __all__ = ["ImagesDataset"]
@@ -49,7 +47,7 @@ class ImagesDataset:
         self._pairs, self.skipped, self.warnings = found.pairs, len(found.skipped), found.warnings
         self.files = [*rig_file_paths(files), *(path for pair in found.pairs for path in pair), *found.skipped]
         height, width = read_pair(*self._pairs[0])[0].shape[:2]
-        self.rig = _named(read_rig_files(files, (width, height)))
+        self.rig = framed(read_rig_files(files, (width, height)))
         self._frame(*self._pairs[0])
 
     def __len__(self) -> int:
@@ -64,12 +62,6 @@ class ImagesDataset:
             height, width = pixels.shape[:2]
             self.rig.check_image(width, height, str(path))
         return DatasetFrame(image_frame(images[0], self.rig.left), image_frame(images[1], self.rig.right))
-
-
-def _named(rig: StereoRig) -> StereoRig:
-    """The same rig with a frame_id: calibration files have none."""
-    left, right = (replace(camera, frame_id="left_optical_frame") for camera in (rig.left, rig.right))
-    return replace(rig, left=left, right=right)
 
 
 def _find_pairs(folder: Path) -> ImagePairs:
