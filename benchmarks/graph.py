@@ -122,10 +122,11 @@ class Camera:
         for topic, data in messages.items():
             self.publishers[topic].publish(data)
 
-    def wait_for_subscribers(self) -> None:
-        """Wait until all topics have a subscriber."""
+    def wait_for_subscribers(self, of_infos: int = 1) -> None:
+        """Wait until all topics have a subscriber, the camera infos so many."""
         deadline = time.monotonic() + TIMEOUT_S
-        while missing := [topic for topic, p in self.publishers.items() if not p.get_subscription_count()]:
+        wanted = {topic: of_infos if topic.endswith("camera_info") else 1 for topic in self.publishers}
+        while missing := [t for t, p in self.publishers.items() if p.get_subscription_count() < wanted[t]]:
             if time.monotonic() > deadline:
                 raise TimeoutError(f"no subscriber of {missing} within {TIMEOUT_S:g} s")
             self.spin_once()

@@ -3,7 +3,7 @@
 """A camera driver with nothing set, neither transport nor QoS: how many of its pairs become clouds, and what is said.
 
 The driver is a process of its own with the transport as installed: reliable publishers of depth 10, as rclcpp's and
-rclpy's default. It begins to publish as soon as the nodes have subscribed to all of its topics.
+rclpy's default. It begins to publish as soon as all nodes have subscribed.
 
     python benchmarks/stock_camera.py
     python benchmarks/stock_camera.py --shapes separate --runs 6
@@ -33,11 +33,11 @@ TIMEOUT_S = 60.0
 STOCK = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT", "STEREO_DEPTH_MALLOPT": "0"}  # prepare_process then sets nothing
 
 
-def drive(width: int, height: int, rate_hz: float, frames: int) -> None:
+def drive(width: int, height: int, rate_hz: float, frames: int, nodes: int) -> None:
     """Publish the pairs; the driver's process runs this."""
     rclpy.init()
     driver = Camera(SyntheticSequence(frames=1, width=width, height=height))
-    driver.wait_for_subscribers()
+    driver.wait_for_subscribers(of_infos=nodes)
     start = time.monotonic()
     for number in range(frames):
         time.sleep(max(0.0, start + number / rate_hz - time.monotonic()))
@@ -71,7 +71,7 @@ def measure(shape: str, setup: tuple[int, int, float, int]) -> str:
 
     node.create_subscription(PointCloud2, "points2", clouds.append, 100, raw=True)
     node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
-    with graph_processes(shape, "bm", 64), driver(width, height, rate_hz, frames) as process:
+    with graph_processes(shape, "bm", 64), driver(width, height, rate_hz, frames, len(NODES[shape])) as process:
         deadline = time.monotonic() + TIMEOUT_S + frames / rate_hz
         while process.poll() is None and time.monotonic() < deadline:
             rclpy.spin_once(node, timeout_sec=0.1)
@@ -85,11 +85,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--shapes", nargs="+", default=list(NODES), choices=list(NODES))
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--camera", nargs=4, type=float, help=argparse.SUPPRESS)
+    parser.add_argument("--camera", nargs=5, type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.camera:
-        width, height, rate_hz, frames = options.camera
-        drive(int(width), int(height), rate_hz, int(frames))
+        width, height, rate_hz, frames, nodes = options.camera
+        drive(int(width), int(height), rate_hz, int(frames), int(nodes))
         return
     rclpy.init()
     for shape in options.shapes:
