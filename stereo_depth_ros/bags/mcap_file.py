@@ -142,13 +142,8 @@ class McapFile(ChunkedFile):
         start_ns, end_ns = 2**64, -1
         try:
             for opcode, content in self._contents(record):
-                if opcode == Opcode.SCHEMA:
-                    schema: Schema = _parsed(Schema, content)
-                    schemas[schema.id] = schema.name
-                elif opcode == Opcode.CHANNEL:
-                    channel: McapChannel = _parsed(McapChannel, content)
-                    channels[channel.id] = channel
-                elif opcode == Opcode.MESSAGE:
+                _note_description(opcode, content, schemas, channels)
+                if opcode == Opcode.MESSAGE:
                     key, _, log_time_ns, _ = _MESSAGE_HEADER.unpack_from(content)
                     counts[key] += 1
                     start_ns, end_ns = min(start_ns, log_time_ns), max(end_ns, log_time_ns)
@@ -212,13 +207,8 @@ class _Index:
         chunks: list[ChunkIndex] = []
         statistics: Statistics | None = None
         for opcode, content in _split(summary):
-            if opcode == Opcode.SCHEMA:
-                schema: Schema = _parsed(Schema, content)
-                schemas[schema.id] = schema.name
-            elif opcode == Opcode.CHANNEL:
-                channel: McapChannel = _parsed(McapChannel, content)
-                channels[channel.id] = channel
-            elif opcode == Opcode.CHUNK_INDEX:
+            _note_description(opcode, content, schemas, channels)
+            if opcode == Opcode.CHUNK_INDEX:
                 chunks.append(_parsed(ChunkIndex, content))
             elif opcode == Opcode.STATISTICS:
                 statistics = _parsed(Statistics, content)
@@ -236,6 +226,18 @@ class _Index:
             and counts.keys() <= self.channels.keys()
             and all(channel.schema_id in schemas or not channel.schema_id for channel in channels.values())
         )
+
+
+def _note_description(
+    opcode: int, content: bytes | memoryview, schemas: dict[int, str], channels: dict[int, McapChannel]
+) -> None:
+    """Adds the name of a schema, or a channel; nothing of another record."""
+    if opcode == Opcode.SCHEMA:
+        schema: Schema = _parsed(Schema, content)
+        schemas[schema.id] = schema.name
+    elif opcode == Opcode.CHANNEL:
+        channel: McapChannel = _parsed(McapChannel, content)
+        channels[channel.id] = channel
 
 
 def _channels(schemas: dict[int, str], channels: dict[int, McapChannel]) -> dict[int, Channel]:
