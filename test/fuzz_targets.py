@@ -116,7 +116,7 @@ class Target:
         cases: makes them; a case is plain data.
         run: uses a case, with an empty folder for files; raises StereoDepthError, or nothing.
         known: cases that failed once.
-        examples: cases in the tests, at most.
+        examples: cases in a round of the tests, at most; so many that all targets take about as long.
     """
 
     name: str

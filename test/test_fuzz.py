@@ -10,6 +10,8 @@ import pytest
 from fuzz_targets import TARGETS, Target, run_case
 from hypothesis import HealthCheck, given, settings
 
+ROUNDS = 8  # all targets together take about a minute
+
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_what_failed_once(target: Target) -> None:
@@ -22,7 +24,7 @@ def test_random_cases(target: Target) -> None:
     """The same ones in each run."""
 
     @settings(
-        max_examples=target.examples,
+        max_examples=ROUNDS * target.examples,
         derandomize=True,
         database=None,
         deadline=None,
