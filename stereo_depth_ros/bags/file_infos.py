@@ -70,11 +70,11 @@ def file_infos(reader: BagReader, topics: StereoTopics, files: Sequence[Path]) -
 
 def _first_images(reader: BagReader, topics: StereoTopics) -> tuple[Any, Any]:
     """The first image of each camera, not decoded."""
-    cameras, found = CameraImages(reader, topics), {}
+    cameras = CameraImages(reader, topics)
+    found: dict[int, Any] = {}
     for topic in cameras.names:
         message = next(reader.messages([topic]), None)
         if message is None:
             raise BagError(f"{topic} has no messages", subject=str(reader.path), value=topic, remedy="record it again")
-        for side, data in cameras.of(message):
-            found[side] = reader.deserialize(replace(message, msgtype=topics.image_type, data=data))
+        found.update(cameras.images(message))
     return found[0], found[1]

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -156,8 +156,7 @@ class _Inspection:
             if message is None:
                 continue
             try:
-                for side, data in images.of(message):
-                    image = self._reader.deserialize(replace(message, msgtype=stereo.image_type, data=data))
+                for side, image in images.images(message):
                     found[side] = _image_info(image, topic)
             except MessageError as error:
                 self.problems.append(error)

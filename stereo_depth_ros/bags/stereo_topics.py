@@ -160,8 +160,19 @@ class CameraImages:
         if not self._topics.side_by_side:
             yield self.sides(message.topic)[0], message.data
             return
+        for side, half in self.images(message):
+            yield side, self._types.serialize(half)
+
+    def images(self, message: BagMessage) -> Iterator[tuple[int, Any]]:
+        """As :meth:`of`, with the messages of the images in place of their bytes.
+
+        Raises:
+            MessageError: bytes that are not an image, or an image that cannot be split.
+        """
         whole = self._reader.deserialize(message)
+        if not self._topics.side_by_side:
+            yield self.sides(message.topic)[0], whole
+            return
         frame = whole.header.frame_id
         frames = self._frames[0] or frame, self._frames[1] or (f"{frame}_right" if frame else "")
-        for side, half in enumerate(split_message(self._types, whole, message.topic, frames)):
-            yield side, self._types.serialize(half)
+        yield from enumerate(split_message(self._types, whole, message.topic, frames))

@@ -135,7 +135,7 @@ class CalibrationInput:
         self._node.sources.append(f"calibration of {' and '.join(dict.fromkeys(rig.topics))}")
 
     def _receive(self, side: int, info: Any) -> None:
-        stamp = stamp_ns(info.header, self._node.resolve_topic_name(_TOPICS[side]))
+        stamp = stamp_ns(info.header, self._names[side])
         last_ns = self._infos.last_ns(side)
         changed = self._infos.add(side, stamp, info_contents(info), info)
         if changed and last_ns is not None and last_ns < stamp <= self._used_ns[side]:
@@ -168,7 +168,7 @@ class CalibrationInput:
         if not self._is_of_unknown_camera(waiting.stamps_ns):
             self._use(waiting)
             return
-        topics = " or ".join(map(self._node.resolve_topic_name, _TOPICS))
+        topics = " or ".join(self._names)
         self._node.diagnostics.report_error(
             "dropped without calibration",
             "several cameras publish the same topics, and a pair without camera infos of its own stamps was dropped, "
@@ -181,8 +181,7 @@ class CalibrationInput:
             self._use_or_drop(oldest)
             return
         self._node.diagnostics.counters["dropped without calibration"] += 1
-        topics = map(self._node.resolve_topic_name, _TOPICS)
-        missing = [topic for side, topic in enumerate(topics) if self._infos.last_ns(side) is None]
+        missing = [topic for side, topic in enumerate(self._names) if self._infos.last_ns(side) is None]
         published = all(map(self._node.count_publishers, missing))
         raise CalibrationError(
             f"images arrive, but no message on {', '.join(missing)}",
@@ -215,7 +214,7 @@ class CalibrationInput:
             raise
 
     def _cause_of_late_infos(self) -> str:
-        topics = " or ".join(map(self._node.resolve_topic_name, _TOPICS))
+        topics = " or ".join(self._names)
         return f"{topics} changed after pairs of its stamp were computed: publish each camera info before its image"
 
 

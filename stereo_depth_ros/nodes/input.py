@@ -126,9 +126,8 @@ class Input:
             rclpy's errors for an override that is not a policy.
         """
         self._received_before = -1  # not silent before a whole interval has passed
-        reliability, is_latched = self._publishers_offer()
-        self._reliability = reliability
-        self._subscription = self._create(reliability)
+        self._reliability, is_latched = self._publishers_offer()
+        self._subscription = self._create(self._reliability)
         self._follow_latching(is_latched)
 
     def take_waiting(self) -> None:

@@ -37,6 +37,7 @@ class PairInput:
         self._node = node
         self._pairing: StereoPairing[Any] = StereoPairing(node.parameters.get(PairingConfig))
         self._topics = (left, right)
+        self._names = (node.resolve_topic_name(left), node.resolve_topic_name(right))
         self._on_pair = on_pair
         self._backwards = 0
         # Enough of them to see a side that is later than the queue by much
@@ -47,7 +48,7 @@ class PairInput:
         self._unpaired_at_start, self._excused = [0, 0], [0, 0]
         for side, topic in enumerate(self._topics):
             node.diagnostics.watch_loss(f"unpaired {topic}", self._cause_of_loss, functools.partial(self._lost, side))
-        node.diagnostics.watch_loss(_DUPLICATES, lambda: str(cause_of_duplicates(self._names())), self._duplicates)
+        node.diagnostics.watch_loss(_DUPLICATES, lambda: str(cause_of_duplicates(self._names)), self._duplicates)
         self._depth = BitDepth()
         node.on_idle.append(self._restart)
 
@@ -72,20 +73,17 @@ class PairInput:
         self._deliver(self._pairing.add_right(stamp, message))
 
     def _note(self, message: Any, side: int) -> int:
-        stamp = stamp_ns(message.header, self._node.resolve_topic_name(self._topics[side]))
+        stamp = stamp_ns(message.header, self._names[side])
         self._arrivals.append((side, stamp))
         if stamp == 0:
             self._unset += 1
-            if error := unset_stamps(self._arrivals, self._names()):
+            if error := unset_stamps(self._arrivals, self._names):
                 self._node.diagnostics.report_error("stamps not set", str(error))
         return stamp
 
     def _cause_of_loss(self) -> str:
         limits, kept = self._node.parameters.get(PairingConfig), self._pairing.right_queue_size
-        return str(cause_of_loss(self._arrivals, self._names(), limits, kept))
-
-    def _names(self) -> tuple[str, str]:
-        return self._node.resolve_topic_name(self._topics[0]), self._node.resolve_topic_name(self._topics[1])
+        return str(cause_of_loss(self._arrivals, self._names, limits, kept))
 
     def _restart(self) -> None:
         """While the node was idle its stream may have started again, with earlier stamps, and the cameras changed."""
@@ -114,7 +112,7 @@ class PairInput:
             MessageError: an image that is none, with its topic.
             CalibrationError: the camera infos are those of the other camera, or of another size.
         """
-        for side, message, topic in zip(("left", "right"), (left, right), self._names(), strict=True):
+        for side, message, topic in zip(("left", "right"), (left, right), self._names, strict=True):
             _check(rig, side, message, topic)
 
     def decode(self, left: Any, right: Any) -> StereoPair:
@@ -126,7 +124,7 @@ class PairInput:
         Raises:
             MessageError: an image that cannot be decoded, with its topic.
         """
-        return decode_pair(left, right, self._names(), self._depth)
+        return decode_pair(left, right, self._names, self._depth)
 
     def _deliver(self, pairs: list[tuple[Any, Any]]) -> None:
         self._count()
@@ -145,7 +143,7 @@ class PairInput:
         counters[_DUPLICATES] = counts.duplicates
         if counts.backwards > self._backwards:
             self._backwards = counts.backwards
-            topics = ", ".join(self._names())
+            topics = ", ".join(self._names)
             self._node.diagnostics.report_error(
                 "stamps went backwards",
                 f"{topics}: stamps went backwards, waiting messages were dropped: expected when a bag starts again, "
