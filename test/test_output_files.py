@@ -196,3 +196,23 @@ def test_errors_carry_their_fields(tmp_path: Path) -> None:
     with pytest.raises(OutputError) as caught:
         check_outputs([tmp_path])
     assert (caught.value.subject, caught.value.remedy) == (str(tmp_path), "name a file")
+
+
+def test_an_interrupt_while_a_file_is_created_finds_it_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "open", interrupted)
+    with output_files.recorded_outputs() as outputs, pytest.raises(KeyboardInterrupt):
+        OutputFile(tmp_path / "a")
+    (output,) = outputs
+    output.discard()
+    assert output.path == tmp_path / "a" and not output.complete
+
+
+def test_a_file_that_cannot_be_created_is_not_recorded(tmp_path: Path) -> None:
+    with output_files.recorded_outputs() as outputs, pytest.raises(OutputError):
+        OutputFile(tmp_path / "missing" / "a")
+    assert outputs == []

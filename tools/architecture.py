@@ -42,6 +42,7 @@ ORDER = (
     "synthetic",
     "geometry",
     "calibration",
+    "active",
     "evaluation",
     "plots",
     "diagnosis",

@@ -75,6 +75,7 @@ class Reason(enum.IntFlag):
     SPECKLE = 16  # small isolated component
     RANGE = 32  # not in front of the cameras: no positive finite depth
     BORDER = 64  # the search range or the window leaves the image
+    SHADOW = 128  # the projector does not light it
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
+from typing import BinaryIO
 
 from stereo_depth_ros.core.errors import OutputError
 from stereo_depth_ros.core.in_words import DISK_FULL, in_words
@@ -120,9 +121,7 @@ class OutputFile:
             else:
                 # runs at process exit too, wherever an interrupt occurs
                 self._remove = weakref.finalize(self, self._temporary.unlink, missing_ok=True)
-                self.file = self._temporary.open("xb")  # exclusive: a link of this name is not followed
-                for outputs in _records:
-                    outputs.append(self)
+                self.file = self._create(self._temporary)
 
     def close(self) -> None:
         """Complete the file and give it its name.
@@ -141,8 +140,9 @@ class OutputFile:
 
     def discard(self) -> None:
         """Remove the incomplete file; does nothing after :meth:`close`."""
-        with suppress(OSError):
-            self.file.close()
+        if file := getattr(self, "file", None):  # not yet there after an interrupt while it was created
+            with suppress(OSError):
+                file.close()
         if self._temporary is not None:
             self._remove()
 
@@ -156,6 +156,17 @@ class OutputFile:
             self.close()
         else:
             self.discard()
+
+    def _create(self, temporary: Path) -> BinaryIO:
+        """The file, recorded before it exists: whoever is interrupted in between tells of it too."""
+        for outputs in _records:
+            outputs.append(self)
+        try:
+            return temporary.open("xb")  # exclusive: a link of this name is not followed
+        except OSError:
+            for outputs in _records:
+                outputs.remove(self)
+            raise
 
     def _rename(self, temporary: Path) -> None:
         if self._overwrite:
