@@ -117,7 +117,7 @@ class OutputFile:
             if make_folders:
                 path.parent.mkdir(parents=True, exist_ok=True)
             if self._temporary is None:
-                self.file = path.open("wb")
+                self.file: BinaryIO = path.open("wb")
             else:
                 # runs at process exit too, wherever an interrupt occurs
                 self._remove = weakref.finalize(self, self._temporary.unlink, missing_ok=True)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ray casting kernels: visible surface, depth and gray level of each pixel.
+"""Ray casting kernels: visible surface, depth, gray level and shadow of each pixel.
 
 They use only +, -, *, /, square root, floor and integer arithmetic, all correctly rounded and without fast-math: equal
 inputs give equal bytes on every machine that follows IEEE 754.
@@ -13,11 +13,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.core.bands import run_bands
+from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.synthetic.scene import RECTANGLE, Vector
 
-__all__ = ["depth_and_shadow", "pixel_rays", "render"]
+__all__ = ["depth_and_shadow", "in_shadow", "pixel_rays", "rays_of", "render", "trace"]
 
 SUPERSAMPLING = 2  # rays per pixel and axis
 
@@ -134,11 +136,17 @@ def _level(primitives: F64, o: Vector, d: Vector, pixel_rad: float, seed: int) -
     if index < 0:
         return _BACKGROUND
     p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+    return _texture(primitives, index, p, t * pixel_rad, seed)
+
+
+@compiled()
+def _texture(primitives: F64, index: int, p: Vector, footprint_m: float, seed: int) -> float:
+    """Gray level of a point of a surface, seen with pixels of ``footprint_m``."""
     mean, contrast = float(primitives[index, 14]), float(primitives[index, 15])
     period_m = float(primitives[index, 16])
     if period_m > 0.0:
         return mean + contrast * _wave(p[0] / period_m) * _wave(p[1] / period_m)
-    return mean + contrast * _octaves(p, t * pixel_rad, seed * 4096 + index * 16)
+    return mean + contrast * _octaves(p, footprint_m, seed * 4096 + index * 16)
 
 
 @compiled(
@@ -220,6 +228,93 @@ def depth_and_shadow(
                 sight = (o[0] + t * d[0] - c[0], o[1] + t * d[1] - c[1], o[2] + t * d[2] - c[2])
                 depth_m[y, x] = t
                 shadow[y, x] = _nearest(primitives, c, sight)[0] < _SAME_POINT
+
+
+@compiled(
+    f"void(int64, int64, {_MATRIX}, {_FLOATS}, {_MATRIX}, float64[:, :, ::1], float64, int64, float64[:, :, ::1], "
+    f"float64[:, :, ::1], {_MATRIX}, int32[:, ::1])"
+)
+def trace(
+    first: int,
+    last: int,
+    primitives: F64,
+    origin: F64,
+    rotation: F64,
+    rays: F64,
+    pixel_rad: float,
+    seed: int,
+    points: F64,
+    normals: F64,
+    levels: F64,
+    surface: npt.NDArray[np.int32],
+) -> None:
+    """Where rays meet the scene: points, normals and textures.
+
+    Args:
+        first, last: range of rows of ``rays``, ``last`` excluded.
+        primitives: float64 (N, 17), of :meth:`Scene.packed`.
+        origin: float64 (3,), where the rays begin in the world, meters.
+        rotation: float64 (3, 3), from the axes of the rays to the world.
+        rays: float64 (H, W, 2): x / z and y / z.
+        pixel_rad: angle of one pixel, radians; textures have no detail below it.
+        seed: of the textures.
+        points: float64 (H, W, 3), output: in the world, meters; NaN without a surface.
+        normals: float64 (H, W, 3), output: unit vectors towards the origin of the rays; NaN without a surface.
+        levels: float64 (H, W), output: gray levels of the textures; 0 without a surface.
+        surface: int32 (H, W), output: index of the primitive; -1 without a surface.
+    """
+    o = (origin[0], origin[1], origin[2])
+    for y in range(first, last):
+        for x in range(rays.shape[1]):
+            d = _rotated(rotation, rays[y, x, 0], rays[y, x, 1])
+            t, index = _nearest(primitives, o, d)
+            surface[y, x], levels[y, x] = index, 0.0
+            points[y, x], normals[y, x] = np.nan, np.nan
+            if index >= 0:
+                p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+                n = _normal(primitives[index], p)
+                towards = -1.0 if n[0] * d[0] + n[1] * d[1] + n[2] * d[2] > 0.0 else 1.0
+                for k in range(3):
+                    points[y, x, k], normals[y, x, k] = p[k], towards * n[k]
+                levels[y, x] = _texture(primitives, index, p, t * pixel_rad, seed)
+
+
+@compiled()
+def _normal(row: F64, p: Vector) -> Vector:
+    """Unit normal of the primitive ``row`` in its point ``p``."""
+    x, y, z = p[0] - row[1], p[1] - row[2], p[2] - row[3]
+    if row[0] == RECTANGLE:
+        x, y, z = row[10], row[11], row[12]
+    else:
+        along = row[10] * x + row[11] * y + row[12] * z  # 0 for a sphere, whose axis is zero
+        x, y, z = x - along * row[10], y - along * row[11], z - along * row[12]
+    length = math.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
+
+
+@compiled(f"void(int64, int64, {_MATRIX}, float64[:, :, ::1], {_FLOATS}, boolean[:, ::1])")
+def in_shadow(first: int, last: int, primitives: F64, points: F64, light: F64, shadow: npt.NDArray[np.bool_]) -> None:
+    """Which points a light does not reach.
+
+    Args:
+        first, last: range of rows, ``last`` excluded.
+        primitives: float64 (N, 17), of :meth:`Scene.packed`.
+        points: float64 (H, W, 3), of :func:`trace`, meters.
+        light: float64 (3,), its position in the world, meters.
+        shadow: bool (H, W), output: true where a surface is between the point and the light, or there is no point.
+    """
+    c = (light[0], light[1], light[2])
+    for y in range(first, last):
+        for x in range(points.shape[1]):
+            sight = (points[y, x, 0] - c[0], points[y, x, 1] - c[1], points[y, x, 2] - c[2])
+            shadow[y, x] = not _nearest(primitives, c, sight)[0] >= _SAME_POINT or math.isnan(sight[0])
+
+
+def rays_of(camera: CameraModel) -> F64:
+    """The 2 x 2 rays through every raw pixel of a plumb_bob camera, float64 (2H, 2W, 2), see :func:`pixel_rays`."""
+    rays = np.empty((SUPERSAMPLING * camera.height, SUPERSAMPLING * camera.width, 2))
+    run_bands(pixel_rays, len(rays), camera.K, camera.D, rays)
+    return rays
 
 
 @compiled(f"void(int64, int64, {_MATRIX}, {_FLOATS}, float64[:, :, ::1])")

@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.core.bands import run_bands
-from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import F32, F64, U8, Frame, StereoPair
-from stereo_depth_ros.synthetic.rays import SUPERSAMPLING, depth_and_shadow, pixel_rays, render
+from stereo_depth_ros.synthetic.rays import depth_and_shadow, rays_of, render
 from stereo_depth_ros.synthetic.rig import (
     CENTER_LEFT_RIGHT_M,
     R_RIGHT_LEFT,
@@ -149,7 +148,7 @@ class SyntheticSequence(Sequence[SyntheticFrame]):
 
     @functools.cached_property
     def _rays(self) -> tuple[F64, F64]:
-        return _rays_of(self.rig.left), _rays_of(self.rig.right)
+        return rays_of(self.rig.left), rays_of(self.rig.right)
 
     def _image(self, side: int, index: int, rotation: F64, center: F64) -> U8:
         image = np.empty((self.rig.height, self.rig.width), np.uint8)
@@ -178,9 +177,3 @@ class SyntheticSequence(Sequence[SyntheticFrame]):
         in_raw = inside_raw_image(rig.right, np.stack([x_m - rig.baseline_m, y_m, depth_m], axis=-1))
         visible: npt.NDArray[np.bool_] = (x_right >= 0) & (x_right <= rig.width - 1) & in_raw
         return visible
-
-
-def _rays_of(camera: CameraModel) -> F64:
-    rays = np.empty((SUPERSAMPLING * camera.height, SUPERSAMPLING * camera.width, 2))
-    run_bands(pixel_rays, len(rays), camera.K, camera.D, rays)
-    return rays
