@@ -266,3 +266,35 @@ def test_a_start_on_one_side_is_not_a_loss(camera: StereoCamera) -> None:
         graph.wait(lambda: received, "disparity")
         assert graph.counter("unpaired left/image_raw") == 1
         assert (graph.status().level, graph.status().message) == (DiagnosticStatus.OK, "ok")
+
+
+def test_frames_that_waited_for_the_first_camera_infos_are_not_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They come at once; what comes after them at the rate of the camera waits within queue_size again."""
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        (node,) = graph.nodes
+        frames, dropped = node.frames, "pairs dropped while others were matched"
+        assert frames is not None
+        frames.begin_overlap()
+        monkeypatch.setattr(frames, "_prepare", lambda frame: frame)
+        monkeypatch.setattr(frames, "_work", lambda frame: frame)
+        monkeypatch.setattr(frames, "_at_once", lambda frame: 1)
+        monkeypatch.setattr(frames, "_deliver", lambda result: None)
+        burst = 4 * 5
+        for number in range(burst):
+            node.add_frame(number)
+        assert node.diagnostics.counters[dropped] == 0
+        while frames.run_one():
+            pass
+        for number in range(8):
+            node.add_frame(number)
+        assert node.diagnostics.counters[dropped] == 2  # queue_size of them wait, and one is the next
+
+
+def test_frames_that_are_too_many_from_the_start_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Graph(StereoDepthNode, parameters=SMALL) as graph:
+        (node,) = graph.nodes
+        assert node.frames is not None
+        node.frames.begin_overlap()
+        for number in range(30):
+            node.add_frame(number)
+        assert node.diagnostics.counters["pairs dropped while others were matched"] == 30 - 6

@@ -13,7 +13,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from stereo_depth_ros.config import MatchingConfig, PairingConfig
@@ -29,10 +29,11 @@ from stereo_depth_ros.nodes.message_types import RclpyTypes, message_class
 from stereo_depth_ros.nodes.parameters import NodeParameters, parameters_of_ros
 from stereo_depth_ros.nodes.sending import send
 
-__all__ = ["Output", "StereoNode", "log_compilation"]
+__all__ = ["FIRST_WAIT", "Output", "StereoNode", "log_compilation"]
 
 _TOO_LATE = "pairs dropped while others were matched"
 _INFO = "sensor_msgs/msg/CameraInfo"
+FIRST_WAIT = 4  # times queue_size: messages that may wait for the first camera infos, and then come all at once
 _SILENCE_S = 5.0  # an input without a message for this time is reported
 _FOLLOW_S = 0.1  # between two looks at the publishers of the inputs
 _FOLLOW_ROUNDS = 5  # looks after an event
@@ -92,6 +93,7 @@ class StereoNode(Node):  # type: ignore[misc]
         self._inputs: list[Input] = []
         self.sources: list[str] = []
         self.frames: Overlap[Any, Any, Any] | None = None
+        self._first_frames = 0  # since the start or the last subscriber, counted while they may come all at once
         self.on_idle: list[Callable[[], object]] = []  # called when the last output loses its last subscriber
         self._awake = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -99,12 +101,21 @@ class StereoNode(Node):  # type: ignore[misc]
         self._follow_timer = self.create_timer(_FOLLOW_S, self._follow_publishers, clock=steady)
         self._follow_rounds = _FOLLOW_ROUNDS
 
-    def add_output(self, topic: str) -> Output:
-        """A reliable publisher of a topic of the interface; its first subscriber wakes the node."""
+    def add_output(self, topic: str, *, latched: bool = False) -> Output:
+        """A reliable publisher of a topic of the interface; its first subscriber wakes the node.
+
+        Of a latched one, later subscribers receive the last message.
+        """
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         publisher = self.create_publisher(
             message_class(self.interface.outputs[topic]),
             topic,
-            QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=5, reliability=ReliabilityPolicy.RELIABLE),
+            QoSProfile(
+                history=HistoryPolicy.KEEP_LAST,
+                depth=1 if latched else 5,
+                reliability=ReliabilityPolicy.RELIABLE,
+                durability=durability,
+            ),
             event_callbacks=PublisherEventCallbacks(matched=lambda _: self._follow_demand()),
             qos_overriding_options=QoSOverridingOptions(OVERRIDABLE_POLICIES),
         )
@@ -156,13 +167,25 @@ class StereoNode(Node):  # type: ignore[misc]
                 publish(result)
 
         self.frames = Overlap(prepare, work, deliver, at_once)
-        self.on_idle.append(self.frames.drop_waiting)
+        self.on_idle += [self.frames.drop_waiting, self._expect_burst]
         self.diagnostics.watch_loss(_TOO_LATE, _cause_of_too_late)
 
+    def _expect_burst(self) -> None:
+        self._first_frames = 0
+
     def add_frame(self, frame: Any) -> None:
-        """Begin with a frame, now or when the ones before it are far enough; the oldest is dropped if many wait."""
+        """Begin with a frame, now or when the ones before it are far enough; the oldest is dropped if many wait.
+
+        Frames that have waited for the first camera infos come all at once, here or from the node before: until they
+        are worked off, more may wait.
+        """
         assert self.frames is not None  # overlap_frames comes first
         limit = self.parameters.get(PairingConfig).queue_size
+        self._first_frames += 1
+        if self._first_frames > FIRST_WAIT * limit or self.frames.has_caught_up:
+            self._first_frames = FIRST_WAIT * limit
+        else:
+            limit *= FIRST_WAIT
         self.diagnostics.counters[_TOO_LATE] += self.frames.add(frame, limit)
 
     @property

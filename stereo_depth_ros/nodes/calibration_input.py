@@ -23,15 +23,14 @@ from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.types import stamp_ns
-from stereo_depth_ros.nodes.base import StereoNode
+from stereo_depth_ros.nodes.base import FIRST_WAIT, StereoNode
 
 __all__ = ["CalibrationInput", "info_contents"]
 
 _TOPICS = ("left/camera_info", "right/camera_info")
 _LONGEST_WAIT_S = 0.1  # of a pair for its camera infos, while the calibration changes
-# Messages that wait for the first camera infos, of which a driver whose images fill its transport loses several: so
-# many times queue_size, and so many bytes
-_FIRST_WAIT, _FIRST_WAIT_BYTES = 4, 64 << 20
+# of messages that wait for the first camera infos, of which a driver whose images fill its transport loses several
+_FIRST_WAIT_BYTES = 64 << 20
 _REMEDY_OF_LOST_INFOS = (
     "their publishers send none, or they are lost in transit: latch them (transient local), or give the driver more "
     "shared memory, as config/fastdds.xml does"
@@ -105,7 +104,7 @@ class CalibrationInput:
         if self._infos.is_known:
             return queue_size
         size = len(getattr(message, "image", message).data)  # of a DisparityImage that of its image
-        return max(queue_size, min(_FIRST_WAIT * queue_size, _FIRST_WAIT_BYTES // max(1, size)))
+        return max(queue_size, min(FIRST_WAIT * queue_size, _FIRST_WAIT_BYTES // max(1, size)))
 
     @property
     def right_contents(self) -> tuple[Any, ...] | None:

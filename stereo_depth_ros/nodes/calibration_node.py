@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import queue
 import threading
 import time
@@ -21,7 +22,7 @@ from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.live_calibration import LiveCalibration, ViewStatus
 from stereo_depth_ros.config import CalibrationConfig, PairingConfig
 from stereo_depth_ros.core.camera import CameraModel
-from stereo_depth_ros.core.errors import CalibrationError, OutputError, StereoDepthError
+from stereo_depth_ros.core.errors import CalibrationError, OutputError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.files.output import check_outputs
@@ -31,11 +32,10 @@ from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.interface import RAW_IMAGES, NodeInterface
-from stereo_depth_ros.nodes.log import log_error, log_info
-from stereo_depth_ros.nodes.message_types import message_class
+from stereo_depth_ros.nodes.log import log_info
 from stereo_depth_ros.nodes.pair_input import PairInput
-from stereo_depth_ros.nodes.parameters import error_text
 from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.nodes.triggers import add_trigger
 from stereo_depth_ros.plots.coverage import coverage_plot
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.operator_overlay import operator_overlay
@@ -88,9 +88,8 @@ class CalibrationNode(StereoNode):
         self._pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
         self.add_input("left/image_raw", self._pairs.add_left)
         self.add_input("right/image_raw", self._pairs.add_right)
-        for name, msgtype in self.interface.services.items():
-            act = {"~/calibrate": self._calibrate, "~/save": self._save, "~/commit": self._commit}[name]
-            self.create_service(message_class(msgtype), name, self._service(act))
+        for name, act in (("~/calibrate", self._calibrate), ("~/save", self._save), ("~/commit", self._commit)):
+            add_trigger(self, name, functools.partial(self._locked, act))
         self._worker.start()
         self._report("waiting for images")
 
@@ -153,22 +152,9 @@ class CalibrationNode(StereoNode):
             "calibrated": "no" if self._live.result is None else _summary(self._live.result),
         }
 
-    def _service(self, act: Callable[[], str]) -> Callable[[Any, Any], Any]:
-        """A service callback that responds with the result text or the error."""
-
-        def respond(_: Any, response: Any) -> Any:
-            try:
-                with self._lock:
-                    response.success, response.message = True, act()
-            except StereoDepthError as error:
-                response.success, response.message = False, error_text(error)
-            if response.success:
-                log_info(self.get_logger(), response.message)
-            else:
-                log_error(self.get_logger(), response.message)
-            return response
-
-        return respond
+    def _locked(self, act: Callable[[], str]) -> str:
+        with self._lock:
+            return act()
 
     def _calibrate(self) -> str:
         result = self._live.calibrate()
