@@ -269,7 +269,7 @@ def test_a_start_on_one_side_is_not_a_loss(camera: StereoCamera) -> None:
 
 
 def test_frames_that_waited_for_the_first_camera_infos_are_not_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They come at once; what comes after them at the rate of the camera waits within queue_size again."""
+    """They come at once; what comes after them waits within queue_size again."""
     with Graph(StereoDepthNode, parameters=SMALL) as graph:
         (node,) = graph.nodes
         frames, dropped = node.frames, "pairs dropped while others were matched"

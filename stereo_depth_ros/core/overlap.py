@@ -71,12 +71,6 @@ class Overlap(Generic[Frame, Prepared, Result]):
             self.run_one()
         return dropped
 
-    @property
-    def has_caught_up(self) -> bool:
-        """Whether frames have been delivered and none is left."""
-        with self._changed:
-            return self._delivered > 0 and self._begun == self._delivered and not self._waiting
-
     def drop_waiting(self) -> None:
         """Drop the frames that no thread has begun."""
         with self._changed:

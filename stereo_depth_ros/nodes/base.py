@@ -93,7 +93,7 @@ class StereoNode(Node):  # type: ignore[misc]
         self._inputs: list[Input] = []
         self.sources: list[str] = []
         self.frames: Overlap[Any, Any, Any] | None = None
-        self._first_frames = 0  # since the start or the last subscriber, counted while they may come all at once
+        self._first_frames = 0  # since the start or the last subscriber, counted as far as they may come all at once
         self.on_idle: list[Callable[[], object]] = []  # called when the last output loses its last subscriber
         self._awake = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -176,15 +176,13 @@ class StereoNode(Node):  # type: ignore[misc]
     def add_frame(self, frame: Any) -> None:
         """Begin with a frame, now or when the ones before it are far enough; the oldest is dropped if many wait.
 
-        Frames that have waited for the first camera infos come all at once, here or from the node before: until they
-        are worked off, more may wait.
+        Frames that have waited for the first camera infos come all at once, here or from the node before: of the first
+        ones more may wait.
         """
         assert self.frames is not None  # overlap_frames comes first
         limit = self.parameters.get(PairingConfig).queue_size
-        self._first_frames += 1
-        if self._first_frames > FIRST_WAIT * limit or self.frames.has_caught_up:
-            self._first_frames = FIRST_WAIT * limit
-        else:
+        if self._first_frames < FIRST_WAIT * limit:
+            self._first_frames += 1
             limit *= FIRST_WAIT
         self.diagnostics.counters[_TOO_LATE] += self.frames.add(frame, limit)
 
