@@ -25,7 +25,7 @@ __all__ = [
     "zeroed_coefficients",
 ]
 
-Circles: TypeAlias = tuple[LensCircle | None, LensCircle | None]  # of the left and the right lens
+Circles: TypeAlias = tuple[LensCircle | None, ...]  # of the left and the right lens, or of one
 
 _MAX_RMS_RATIO = 1.01  # of the rms without and with a coefficient that the views do not determine
 _LEAST_OF_CIRCLE = 0.8  # corners of a board hardly come closer to the edge of the image circle
@@ -33,7 +33,7 @@ _RADIAL = ("k6", "k5", "k4", "k3", "k2")  # order in which coefficients are fixe
 
 
 def ensure_monotonic_distortion(
-    pairs: Sequence[tuple[Corners, Corners]],
+    pairs: Sequence[tuple[Corners, ...]],
     whole: BundleSolution,
     size: tuple[int, int],
     circles: Circles = (None, None),
@@ -44,7 +44,7 @@ def ensure_monotonic_distortion(
     rectified.
 
     Args:
-        pairs: left and right corners of each view.
+        pairs: left and right corners of each view, or those of one camera.
         whole: solution with all coefficients; returned where it is monotonic, and where fewer coefficients fit worse.
         size: width, height of the images, px.
         circles: image circles of both lenses, outside which there is no image.
