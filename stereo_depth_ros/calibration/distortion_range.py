@@ -25,7 +25,7 @@ __all__ = [
     "zeroed_coefficients",
 ]
 
-Circles: TypeAlias = tuple[LensCircle | None, ...]  # of the left and the right lens, or of one
+Circles: TypeAlias = tuple[LensCircle | None, LensCircle | None]  # of the left and the right lens
 
 _MAX_RMS_RATIO = 1.01  # of the rms without and with a coefficient that the views do not determine
 _LEAST_OF_CIRCLE = 0.8  # corners of a board hardly come closer to the edge of the image circle
@@ -36,7 +36,7 @@ def ensure_monotonic_distortion(
     pairs: Sequence[tuple[Corners, ...]],
     whole: BundleSolution,
     size: tuple[int, int],
-    circles: Circles = (None, None),
+    circles: Sequence[LensCircle | None] = (None, None),
 ) -> BundleSolution:
     """Fix the highest radial coefficients at 0 where the distortion decreases within the image without need.
 
@@ -47,7 +47,7 @@ def ensure_monotonic_distortion(
         pairs: left and right corners of each view, or those of one camera.
         whole: solution with all coefficients; returned where it is monotonic, and where fewer coefficients fit worse.
         size: width, height of the images, px.
-        circles: image circles of both lenses, outside which there is no image.
+        circles: image circles of both lenses, outside which there is no image, or of the one of one camera.
     """
     found, names = whole, parameter_names(whole.parameters.model)
     for name in _RADIAL:
@@ -112,7 +112,7 @@ def check_distortion_range(
             )
 
 
-def _is_monotonic(parameters: BundleParameters, size: tuple[int, int], circles: Circles) -> bool:
+def _is_monotonic(parameters: BundleParameters, size: tuple[int, int], circles: Sequence[LensCircle | None]) -> bool:
     for intrinsics, circle in zip(parameters.intrinsics, circles, strict=True):
         range_px, corner_px = distortion_range_px(parameters.model, intrinsics, size)
         if range_px < needed_range_px(intrinsics, corner_px, circle):

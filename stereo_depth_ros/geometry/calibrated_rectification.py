@@ -162,8 +162,11 @@ class Outline(NamedTuple):
             np.column_stack(np.broadcast_arrays(x, y))
             for x, y in ((left, along_y), (along_x, top), (right, along_y), (along_x, bottom))
         ]
-        west, north, east, south = (_perspective(camera_rays(edge, camera) @ camera.R.T, limit_rad) for edge in edges)
-        points = np.concatenate((west, north, east, south))
+        sides = [_perspective(camera_rays(edge, camera) @ camera.R.T, limit_rad) for edge in edges]
+        points = np.concatenate(sides)
+        # the rectified image may be turned, as where the second camera is above the first one
+        x, y = np.array([np.nanmean(side, axis=0) for side in sides]).T
+        west, north, east, south = (sides[n] for n in (x.argmin(), y.argmin(), x.argmax(), y.argmax()))
         inner = np.nanmax(west[:, 0]), np.nanmax(north[:, 1]), np.nanmin(east[:, 0]), np.nanmin(south[:, 1])
         outer = (*np.nanmin(points, axis=0), *np.nanmax(points, axis=0))
         return cls(Rectangle(*map(float, inner)), Rectangle(*map(float, outer)))
