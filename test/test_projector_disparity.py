@@ -116,7 +116,7 @@ def test_points_behind_the_camera_are_out_of_range() -> None:
 
 def test_a_calibration_of_another_setup_is_named() -> None:
     rig, depth_m = rig_of(BESIDE), slanted(rig_of(BESIDE))
-    moved = replace(BESIDE, rig=BESIDE.rig + 0.03 * np.eye(6)[0])
+    moved = replace(BESIDE, rig=BESIDE.rig + 0.03 * np.identity(6)[0])
     with pytest.raises(CalibrationError, match=r"the rows of 100 % of \d+ decoded pixels differ .* median by 9\.3 px"):
         disparity_from_projector(rig, seen(moved, rig, depth_m))
 

@@ -35,10 +35,10 @@ class Resection(NamedTuple):
 
         Hartley and Zisserman, Multiple View Geometry, 2004, section 6.2.4, by the QR decomposition of the inverse.
         """
-        Q, U = (np.asarray(each, np.float64) for each in np.linalg.qr(np.linalg.inv(self.P[:, :3])))
+        Q, U = np.linalg.qr(np.linalg.inv(self.P[:, :3]))
         signs = np.diag(np.where(np.diag(U) < 0, -1.0, 1.0))
-        R: F64 = (Q @ signs).T
-        K: F64 = np.linalg.inv(signs @ U)
+        R = np.asarray((Q @ signs).T, np.float64)
+        K = np.asarray(np.linalg.inv(signs @ U), np.float64)
         T: F64 = np.linalg.solve(K, self.P[:, 3])
         if np.linalg.det(R) < 0:
             R, T = -R, -T
