@@ -190,8 +190,13 @@ class StereoResult:
 
     @cached_property
     def sigma_m(self) -> F32:
-        """Standard deviation of the depth, float32 (H, W), meters, NaN where invalid."""
-        return depth_sigma(self.depth_m, self.triangulation, self.config.depth.disparity_sigma_px)
+        """Standard deviation of the depth, float32 (H, W), meters, NaN where invalid.
+
+        From that of each disparity where the method estimates it, else from the parameter disparity_sigma_px.
+        """
+        estimated = self.disparity.sigma_px
+        sigma_px = self.config.depth.disparity_sigma_px if estimated is None else estimated
+        return depth_sigma(self.depth_m, self.triangulation, sigma_px)
 
     def points(self) -> F32:
         """Points in the left rectified optical frame, float32 (H, W, 3), meters, NaN where invalid."""

@@ -54,6 +54,13 @@ def test_sigma_grows_with_the_square_of_depth(result: StereoResult) -> None:
     np.testing.assert_allclose(result.sigma_m[valid], expected[valid], rtol=1e-5)
 
 
+def test_sigma_is_that_of_the_disparities_where_the_method_estimates_it(result: StereoResult) -> None:
+    sigma_px = np.linspace(0.05, 0.4, result.depth_m.size, dtype=np.float32).reshape(result.depth_m.shape)
+    estimated = dataclasses.replace(result, disparity=dataclasses.replace(result.disparity, sigma_px=sigma_px))
+    valid = np.isfinite(result.depth_m)
+    np.testing.assert_allclose(estimated.sigma_m[valid], (result.sigma_m * sigma_px / 0.25)[valid], rtol=1e-5)
+
+
 def test_invalid_pixels_have_reasons_and_valid_ones_none(result: StereoResult) -> None:
     match = result.disparity
     np.testing.assert_array_equal(match.reasons == 0, np.isfinite(match.disparity_px))

@@ -21,6 +21,7 @@ __all__ = [
     "edge_width_px",
     "is_sharp",
     "refine_corners",
+    "spacing_px",
 ]
 
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
@@ -90,7 +91,7 @@ def check_board_size(size: tuple[int, int], square_m: float, smallest: int, coun
 def is_sharp(gray: U8, corners: Corners) -> bool:
     """Whether the edges at the corners are sharp enough for exact positions; smaller squares need sharper edges."""
     largest_px = max(_LARGEST_LIMIT_PX, _WIDTH_SHARE * gray.shape[1])
-    limit_px = np.clip(_SPACING_SHARE * _spacing_px(corners), _LEAST_LIMIT_PX, largest_px)
+    limit_px = np.clip(_SPACING_SHARE * spacing_px(corners), _LEAST_LIMIT_PX, largest_px)
     return bool(edge_width_px(gray, corners) <= limit_px)
 
 
@@ -100,7 +101,7 @@ def edge_width_px(gray: U8, corners: Corners) -> float:
     Two sets of sharp 640x480 images have 2.4 to 3.7 px, the same images blurred by a Gaussian of 2 px have 5.2 px and
     more.
     """
-    half = int(np.clip(_spacing_px(corners) / 3, 3, 12))
+    half = int(np.clip(spacing_px(corners) / 3, 3, 12))
     smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7)
     slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)) / 8
     widths = []
@@ -111,7 +112,7 @@ def edge_width_px(gray: U8, corners: Corners) -> float:
     return float(np.median(widths))
 
 
-def _spacing_px(corners: Corners) -> float:
+def spacing_px(corners: Corners) -> float:
     """Median distance of a corner from the nearest other one."""
     distances = np.linalg.norm(corners.image_px[:, None] - corners.image_px[None], axis=2)
     np.fill_diagonal(distances, np.inf)

@@ -38,6 +38,7 @@ class BundleParameters:
             camera.
         poses: float64 (V, 6), rotation vector and translation, meters, from the board to the first camera.
         fixed: indices of intrinsic parameters that are held constant in every camera.
+        held: indices of shared parameters that are held constant, such as the intrinsics of a camera that is known.
     """
 
     model: str
@@ -45,6 +46,7 @@ class BundleParameters:
     rig: F64
     poses: F64
     fixed: tuple[int, ...] = ()
+    held: tuple[int, ...] = ()
 
     @property
     def shared_count(self) -> int:
@@ -55,7 +57,7 @@ class BundleParameters:
     def free_indices(self) -> npt.NDArray[np.int64]:
         """Indices of the shared parameters that are solved for, (F,)."""
         fixed = [side * each.size + number for side, each in enumerate(self.intrinsics) for number in self.fixed]
-        return np.setdiff1d(np.arange(self.shared_count), fixed)
+        return np.setdiff1d(np.arange(self.shared_count), [*fixed, *self.held])
 
     def updated(self, step: F64, pose_steps: F64) -> BundleParameters:
         """With ``step`` (F,) added to the free shared parameters, ``pose_steps`` (V, 6) to the poses."""

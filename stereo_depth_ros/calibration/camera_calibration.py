@@ -18,7 +18,16 @@ from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.rays import normalized_points
 from stereo_depth_ros.geometry.robust import robust_sigma
 
-__all__ = ["MIN_LIMIT_PX", "MIN_VIEWS", "CameraSolution", "DroppedView", "calibrate_camera", "outlier_view"]
+__all__ = [
+    "MIN_LIMIT_PX",
+    "MIN_VIEWS",
+    "CameraSolution",
+    "DroppedView",
+    "calibrate_camera",
+    "initial_pose",
+    "outlier_view",
+    "too_few_views",
+]
 
 MIN_VIEWS = 5  # three views determine a pinhole camera; two more verify consistency
 _FIELDS_OF_VIEW_DEG = (12, 20, 30, 40, 50, 60, 75, 90, 110, 130)  # horizontal, candidates for the initial camera
@@ -52,7 +61,14 @@ class CameraSolution:
 
 
 def calibrate_camera(
-    names: Sequence[str], views: Sequence[Corners], size: tuple[int, int], model: str, side: str
+    names: Sequence[str],
+    views: Sequence[Corners],
+    size: tuple[int, int],
+    model: str,
+    side: str,
+    *,
+    least: int = MIN_VIEWS,
+    fixed: tuple[int, ...] = (),
 ) -> CameraSolution:
     """Calibrate one camera from views of a flat board, without the views that do not fit.
 
@@ -62,18 +78,21 @@ def calibrate_camera(
         size: width, height of the images, px.
         model: distortion model.
         side: "left" or "right", for messages.
+        least: number of views that have to agree.
+        fixed: indices of intrinsic parameters that are held at their initial values; coefficients begin with 0.
 
     Raises:
         CalibrationError: too few views agree, or they do not determine the camera.
     """
     start, without_pose = _initial_parameters(views, size, model)
+    start = replace(start, fixed=fixed)
     dropped = [
         DroppedView(names[number], f"{side}: no pose of the board explains its corners") for number in without_pose
     ]
     kept = [number for number in range(len(views)) if number not in without_pose]
     while True:
-        if len(kept) < MIN_VIEWS:
-            raise too_few_views(len(kept), dropped)
+        if len(kept) < least:
+            raise too_few_views(len(kept), dropped, least)
         solution = adjust_bundle([(views[number],) for number in kept], start, robust=True)
         worst = outlier_view(solution.view_rms_px(0))
         if worst is None:
@@ -85,13 +104,13 @@ def calibrate_camera(
     return CameraSolution(adjust_bundle([(views[number],) for number in kept], solution.parameters), kept, dropped)
 
 
-def too_few_views(count: int, dropped: Sequence[DroppedView]) -> CalibrationError:
+def too_few_views(count: int, dropped: Sequence[DroppedView], least: int = MIN_VIEWS) -> CalibrationError:
     """The error for fewer views than a calibration needs."""
     without = f" ({len(dropped)} dropped: {'; '.join(f'{view.name}, {view.reason}' for view in dropped)})"
     return CalibrationError(
-        f"{count} views of the board{without if dropped else ''}, at least {MIN_VIEWS} are required, 20 recommended",
+        f"{count} views of the board{without if dropped else ''}, at least {least} are required, 20 recommended",
         value=count,
-        limit=MIN_VIEWS,
+        limit=least,
         remedy="record more pairs in which both cameras see the whole board, near and far, tilted, in all parts of the "
         "image",
     )
@@ -126,7 +145,7 @@ def _initial_parameters(
     candidates = []
     for focal_px in _focal_lengths_px(model, size[0]):
         intrinsics = np.array([focal_px, focal_px, (size[0] - 1) / 2, (size[1] - 1) / 2, *[0.0] * len(MODELS[model])])
-        fits = [_initial_pose(model, intrinsics, corners) for corners in views]
+        fits = [initial_pose(model, intrinsics, corners) for corners in views]
         candidates.append((float(np.median([rms for _, rms in fits])), intrinsics, fits))
     _, intrinsics, fits = min(candidates, key=lambda candidate: candidate[0])
     without_pose = {number for number, (_, rms) in enumerate(fits) if not np.isfinite(rms)}
@@ -140,8 +159,17 @@ def _focal_lengths_px(model: str, width: int) -> F64:
     return np.asarray(width / 2 / np.tan(np.radians(_FIELDS_OF_VIEW_DEG) / 2), np.float64)
 
 
-def _initial_pose(model: str, intrinsics: F64, corners: Corners) -> tuple[F64, float]:
-    """Board pose by a method for planes (IPPE) and its rms, px; the rms is infinite where no pose is found."""
+def initial_pose(model: str, intrinsics: F64, corners: Corners) -> tuple[F64, float]:
+    """Board pose by a method for planes (IPPE) and its rms, px; the rms is infinite where no pose is found.
+
+    Args:
+        model: distortion model.
+        intrinsics: float64 (4 + n,): fx, fy, cx, cy in px, coefficients.
+        corners: of the board.
+
+    Returns:
+        float64 (6,), rotation vector and translation in meters from the board to the camera, and the rms.
+    """
     none = np.zeros(6), np.inf
     rays = normalized_points(corners.image_px, model, camera_matrix(intrinsics), intrinsics[4:])
     usable = np.linalg.norm(rays, axis=1) < _MAX_TANGENT

@@ -33,10 +33,10 @@ _RADIAL = ("k6", "k5", "k4", "k3", "k2")  # order in which coefficients are fixe
 
 
 def ensure_monotonic_distortion(
-    pairs: Sequence[tuple[Corners, Corners]],
+    pairs: Sequence[tuple[Corners, ...]],
     whole: BundleSolution,
     size: tuple[int, int],
-    circles: Circles = (None, None),
+    circles: Sequence[LensCircle | None] = (None, None),
 ) -> BundleSolution:
     """Fix the highest radial coefficients at 0 where the distortion decreases within the image without need.
 
@@ -44,10 +44,10 @@ def ensure_monotonic_distortion(
     rectified.
 
     Args:
-        pairs: left and right corners of each view.
+        pairs: left and right corners of each view, or those of one camera.
         whole: solution with all coefficients; returned where it is monotonic, and where fewer coefficients fit worse.
         size: width, height of the images, px.
-        circles: image circles of both lenses, outside which there is no image.
+        circles: image circles of both lenses, outside which there is no image, or of the one of one camera.
     """
     found, names = whole, parameter_names(whole.parameters.model)
     for name in _RADIAL:
@@ -112,7 +112,7 @@ def check_distortion_range(
             )
 
 
-def _is_monotonic(parameters: BundleParameters, size: tuple[int, int], circles: Circles) -> bool:
+def _is_monotonic(parameters: BundleParameters, size: tuple[int, int], circles: Sequence[LensCircle | None]) -> bool:
     for intrinsics, circle in zip(parameters.intrinsics, circles, strict=True):
         range_px, corner_px = distortion_range_px(parameters.model, intrinsics, size)
         if range_px < needed_range_px(intrinsics, corner_px, circle):

@@ -115,6 +115,8 @@ def _inverse(matrix: F64) -> F64:
     Coefficients of a distortion model with many of them can compensate each other; the other parameters are still
     determined.
     """
+    if not matrix.size:  # every parameter is held
+        return matrix
     scale = _scale(matrix)
     try:
         values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))

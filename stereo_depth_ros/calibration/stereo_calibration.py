@@ -36,11 +36,12 @@ from stereo_depth_ros.core.rig import MAX_BASELINE_M, MIN_BASELINE_M, StereoRig
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.rays import rectify_points
 
-__all__ = ["calibrate"]
+__all__ = ["calibrate", "calibrated_camera", "check_determined", "relative_pose", "row_errors_px", "view_errors"]
 
 MIN_DIFFERENT = 3  # views that determine a pinhole camera
 _MAX_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not determine the focal length
 _WARN_RATIO = 2.0  # of the rms of both cameras to that of one alone, above which the two images of a view disagree
+_SIDES = ("left camera", "right camera")
 _MAX_RATIO = 10.0  # of those, above which the images are not synchronized
 
 
@@ -117,12 +118,12 @@ def _initial_rig(
     if len(kept) < MIN_VIEWS:
         raise too_few_views(len(kept), dropped)
     poses = [np.array([one.solution.parameters.poses[one.kept.index(n)] for n in kept]) for one in (left, right)]
-    rigs = np.array([_relative_pose(*pair) for pair in zip(*poses, strict=True)])
+    rigs = np.array([relative_pose(*pair) for pair in zip(*poses, strict=True)])
     intrinsics = (left.solution.parameters.intrinsics[0], right.solution.parameters.intrinsics[0])
     return kept, BundleParameters(left.solution.parameters.model, intrinsics, np.median(rigs, axis=0), poses[0])
 
 
-def _relative_pose(left: F64, right: F64) -> F64:
+def relative_pose(left: F64, right: F64) -> F64:
     """Rotation vector and translation from the left to the right camera, from the poses of one board in both."""
     R_left, R_right = cv2.Rodrigues(left[:3])[0], cv2.Rodrigues(right[:3])[0]
     R = R_right @ R_left.T
@@ -176,8 +177,8 @@ def _result(
 ) -> StereoCalibration:
     parameters = solution.parameters
     sigmas = solution.sigmas
-    cameras = [_camera(solution, side, sigmas, alone_px[side]) for side in (0, 1)]
-    _check_determined(cameras)
+    cameras = [calibrated_camera(solution, side, sigmas, alone_px[side]) for side in (0, 1)]
+    check_determined(cameras)
     R, T = cv2.Rodrigues(parameters.rig[:3])[0], parameters.rig[3:]
     _check_baseline(T)
     check_distortion_range(parameters, size, circles)
@@ -187,7 +188,7 @@ def _result(
     else:
         rig = StereoRig.from_calibration(left.K, left.D, right.K, right.D, R, T, size, parameters.model)
     used = [views[number] for number in kept]
-    rows = [_row_errors_px(rig, view) for view in used]
+    rows = [row_errors_px(rig, view) for view in used]
     errors_px = np.concatenate(rows)
     if not errors_px.size:
         raise CalibrationError(
@@ -207,7 +208,7 @@ def _result(
         rms_stereo_px=solution.rms_px(),
         epipolar_rms_px=float(np.sqrt(np.square(errors_px).mean())),
         rig=rig,
-        views=tuple(_view_errors(solution, used, rows)),
+        views=tuple(view_errors(solution, used, rows)),
         dropped=tuple(dropped),
         circles=circles,
         coverage=Coverage.of([placement(view.left, size, circles[0]) for view in used]),
@@ -215,20 +216,29 @@ def _result(
     )
 
 
-def _camera(solution: BundleSolution, side: int, sigmas: F64, alone_px: float) -> CalibratedCamera:
+def calibrated_camera(solution: BundleSolution, side: int, sigmas: F64, alone_px: float) -> CalibratedCamera:
+    """One camera of a solution.
+
+    Args:
+        solution: of one or two cameras.
+        side: index of the camera.
+        sigmas: float64 (S,), standard deviations of the shared parameters.
+        alone_px: reprojection rms of this camera alone.
+    """
     intrinsics = solution.parameters.intrinsics[side]
     own = sigmas[side * intrinsics.size : (side + 1) * intrinsics.size]
     return CalibratedCamera(camera_matrix(intrinsics), intrinsics[4:], own, solution.rms_px(side), alone_px)
 
 
-def _check_determined(cameras: Sequence[CalibratedCamera]) -> None:
-    for side, camera in zip(("left", "right"), cameras, strict=True):
+def check_determined(cameras: Sequence[CalibratedCamera], names: Sequence[str] = _SIDES) -> None:
+    """Raise CalibrationError for a camera whose focal length the views do not determine within 5 %."""
+    for name, camera in zip(names, cameras, strict=True):
         fx, sigma = float(camera.K[0, 0]), float(camera.sigmas[0])
         if not (fx > 0 and sigma < _MAX_FOCAL_SIGMA * fx):
             raise CalibrationError(
                 f"focal length {fx:.1f} px has a standard deviation of {sigma:.1f} px, limit "
                 f"{100 * _MAX_FOCAL_SIGMA:g} %",
-                subject=f"{side} camera",
+                subject=name,
                 value=sigma,
                 limit=_MAX_FOCAL_SIGMA * fx,
                 remedy="tilt the board by 30 degrees about both axes in some of the views",
@@ -255,7 +265,7 @@ def _check_baseline(T: F64) -> None:
         )
 
 
-def _row_errors_px(rig: StereoRig, view: BoardView) -> F64:
+def row_errors_px(rig: StereoRig, view: BoardView) -> F64:
     """Row errors y_left - y_right of the corners that both cameras see, after rectification, float64 (N,) px."""
     _, at_left, at_right = np.intersect1d(view.left.ids, view.right.ids, return_indices=True)
     rows = [
@@ -265,7 +275,8 @@ def _row_errors_px(rig: StereoRig, view: BoardView) -> F64:
     return rows[0] - rows[1]
 
 
-def _view_errors(solution: BundleSolution, views: Sequence[BoardView], rows: Sequence[F64]) -> Iterator[ViewErrors]:
+def view_errors(solution: BundleSolution, views: Sequence[BoardView], rows: Sequence[F64]) -> Iterator[ViewErrors]:
+    """The errors of each view of a solution of both cameras; ``rows`` are those of :func:`row_errors_px`."""
     errors = zip(solution.view_rms_px(0), solution.view_rms_px(1), rows, strict=True)
     for view, (left, right, row) in zip(views, errors, strict=True):
         rms_rows = float(np.sqrt(np.square(row).mean())) if row.size else float("nan")

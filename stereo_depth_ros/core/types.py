@@ -229,6 +229,8 @@ class MatchResult:
         step_px: resolution of the disparities, px (1/16 for OpenCV's matchers).
         support_px: width and height, odd, px, of the window that a matching cost is computed from.
         confidence_source: the confidence, or a function that computes it on demand; None if the method has none.
+        sigma_px: float32 (H, W), standard deviation of each disparity, px, NaN where invalid; None if the method does
+            not estimate it.
     """
 
     disparity_px: F32
@@ -236,6 +238,7 @@ class MatchResult:
     step_px: float
     confidence_source: F32 | Callable[[], F32] | None = None
     support_px: tuple[int, int] = (1, 1)
+    sigma_px: F32 | None = None
 
     @cached_property
     def confidence(self) -> F32 | None:

@@ -17,7 +17,15 @@ from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.geometry.rays import camera_rays
 from stereo_depth_ros.geometry.relative_pose import RelativePose
 
-__all__ = ["METHODS", "Area", "common_area", "rectify_calibrated", "rectifying_rotations"]
+__all__ = [
+    "METHODS",
+    "Area",
+    "Outline",
+    "Rectangle",
+    "common_area",
+    "rectify_calibrated",
+    "rectifying_rotations",
+]
 
 METHODS = ("textbook", "opencv")
 MAX_TILT_DEG = 45.0  # of the baseline against the rows
@@ -83,7 +91,7 @@ def rectify_calibrated(
             left.K, left.D, right.K, right.D, pose.R, pose.t, _size(left), left.distortion_model, left.frame_id, alpha
         )
     cameras = (replace(left, R=R_left), replace(right, R=R_right))
-    outlines = [_Outline.of(camera, math.radians(max_fov_deg) / 2) for camera in cameras]
+    outlines = [Outline.of(camera, math.radians(max_fov_deg) / 2) for camera in cameras]
     if zero_disparity:
         outlines = [outlines[0].combined(outlines[1])] * 2
     f_px, principal_points = _intrinsics(outlines, _size(left), alpha)
@@ -116,7 +124,7 @@ def common_area(rig: StereoRig) -> Area:
     """
     x0, y0, x1, y1 = 0.0, 0.0, rig.width - 1.0, rig.height - 1.0
     for camera in (rig.left, rig.right):
-        inner = _Outline.of(camera, math.pi / 2 - 1e-3).inner
+        inner = Outline.of(camera, math.pi / 2 - 1e-3).inner
         fx, fy, cx, cy = camera.P[0, 0], camera.P[1, 1], camera.P[0, 2], camera.P[1, 2]
         x0, x1 = max(x0, fx * inner.x0 + cx), min(x1, fx * inner.x1 + cx)
         y0, y1 = max(y0, fy * inner.y0 + cy), min(y1, fy * inner.y1 + cy)
@@ -124,7 +132,7 @@ def common_area(rig: StereoRig) -> Area:
     return Area(x, y, max(0, math.floor(x1) - x + 1), max(0, math.floor(y1) - y + 1))
 
 
-class _Rectangle(NamedTuple):
+class Rectangle(NamedTuple):
     """Ranges of x / z and y / z in the rectified camera."""
 
     x0: float
@@ -133,7 +141,7 @@ class _Rectangle(NamedTuple):
     y1: float
 
 
-class _Outline(NamedTuple):
+class Outline(NamedTuple):
     """Coverage of the raw image in the rectified camera.
 
     Attributes:
@@ -141,11 +149,11 @@ class _Outline(NamedTuple):
         outer: rectangle around the raw image.
     """
 
-    inner: _Rectangle
-    outer: _Rectangle
+    inner: Rectangle
+    outer: Rectangle
 
     @classmethod
-    def of(cls, camera: CameraModel, limit_rad: float) -> _Outline:
+    def of(cls, camera: CameraModel, limit_rad: float) -> Outline:
         """Outline of a camera by its R, up to this angle from the rectified axis."""
         left, right = _INSET_PX, camera.width - 1 - _INSET_PX
         top, bottom = _INSET_PX, camera.height - 1 - _INSET_PX
@@ -154,18 +162,21 @@ class _Outline(NamedTuple):
             np.column_stack(np.broadcast_arrays(x, y))
             for x, y in ((left, along_y), (along_x, top), (right, along_y), (along_x, bottom))
         ]
-        west, north, east, south = (_perspective(camera_rays(edge, camera) @ camera.R.T, limit_rad) for edge in edges)
-        points = np.concatenate((west, north, east, south))
+        sides = [_perspective(camera_rays(edge, camera) @ camera.R.T, limit_rad) for edge in edges]
+        points = np.concatenate(sides)
+        # the rectified image may be turned, as where the second camera is above the first one
+        x, y = np.array([np.nanmean(side, axis=0) for side in sides]).T
+        west, north, east, south = (sides[n] for n in (x.argmin(), y.argmin(), x.argmax(), y.argmax()))
         inner = np.nanmax(west[:, 0]), np.nanmax(north[:, 1]), np.nanmin(east[:, 0]), np.nanmin(south[:, 1])
         outer = (*np.nanmin(points, axis=0), *np.nanmax(points, axis=0))
-        return cls(_Rectangle(*map(float, inner)), _Rectangle(*map(float, outer)))
+        return cls(Rectangle(*map(float, inner)), Rectangle(*map(float, outer)))
 
-    def combined(self, other: _Outline) -> _Outline:
+    def combined(self, other: Outline) -> Outline:
         """The rectangle within both, and the rectangle around both."""
         (a, b), (c, d) = self, other
-        inner = _Rectangle(max(a.x0, c.x0), max(a.y0, c.y0), min(a.x1, c.x1), min(a.y1, c.y1))
-        outer = _Rectangle(min(b.x0, d.x0), min(b.y0, d.y0), max(b.x1, d.x1), max(b.y1, d.y1))
-        return _Outline(inner, outer)
+        inner = Rectangle(max(a.x0, c.x0), max(a.y0, c.y0), min(a.x1, c.x1), min(a.y1, c.y1))
+        outer = Rectangle(min(b.x0, d.x0), min(b.y0, d.y0), max(b.x1, d.x1), max(b.y1, d.y1))
+        return Outline(inner, outer)
 
 
 def _perspective(rays: F64, limit_rad: float) -> F64:
@@ -177,7 +188,7 @@ def _perspective(rays: F64, limit_rad: float) -> F64:
 
 
 def _intrinsics(
-    outlines: list[_Outline], size: tuple[int, int], alpha: float
+    outlines: list[Outline], size: tuple[int, int], alpha: float
 ) -> tuple[float, list[tuple[float, float]]]:
     """Focal length and principal points of rectified images of this size, between their inner and outer outlines."""
     inner_px, inner = _fitted([outline.inner for outline in outlines], size, within=True)
@@ -187,7 +198,7 @@ def _intrinsics(
     return f_px, [((size[0] - 1) / 2 - f_px * x, (size[1] - 1) / 2 - f_px * y) for x, y in centers]
 
 
-def _fitted(rectangles: list[_Rectangle], size: tuple[int, int], within: bool) -> tuple[float, F64]:
+def _fitted(rectangles: list[Rectangle], size: tuple[int, int], within: bool) -> tuple[float, F64]:
     """Focal length at which the images are within their rectangles, or contain them, and the rectangles' centers."""
     x0, y0, x1, y1 = np.array(rectangles).T
     top, bottom = (y0.max(), y1.min()) if within else (y0.min(), y1.max())

@@ -43,9 +43,15 @@ def depth_from_disparity(disparity_px: F32, triangulation: Triangulation, out: F
     return depth_m
 
 
-def depth_sigma(depth_m: F32, triangulation: Triangulation, disparity_sigma_px: float) -> F32:
-    """Standard deviation of the depth, sigma_Z = Z^2 / (f B) sigma_d, float32 (H, W) in meters, NaN where invalid."""
-    scale = np.float32(disparity_sigma_px / (triangulation.f_px * triangulation.baseline_m))
+def depth_sigma(depth_m: F32, triangulation: Triangulation, disparity_sigma_px: float | F32) -> F32:
+    """Standard deviation of the depth, sigma_Z = Z^2 / (f B) sigma_d, float32 (H, W) in meters, NaN where invalid.
+
+    Args:
+        depth_m: float32 (H, W).
+        triangulation: the geometry of the rig.
+        disparity_sigma_px: sigma_d, of all pixels, or of each one, float32 (H, W).
+    """
+    scale = np.float32(1 / (triangulation.f_px * triangulation.baseline_m)) * np.asarray(disparity_sigma_px, np.float32)
     sigma_m: F32 = depth_m * depth_m * scale
     return sigma_m
 
