@@ -38,10 +38,10 @@ def test_nothing_speaks_against_a_sequence_in_its_order(kind: str, seed: int) ->
 
 
 def is_told(pattern: Pattern, other: Pattern) -> bool:
-    """The coarsest bits mirror the code as a whole; cells of the finest ones are narrower than 4 px of the camera."""
+    """The coarsest bits mirror the code as a whole; cells of the finest ones are as narrow as 4 px of the camera."""
     coarsest = (PROJECTOR[pattern.axis == "rows"] - 1).bit_length() - 2
     mirrored = pattern.role == other.role == "gray" and pattern.bit == other.bit >= coarsest
-    finest = pattern.role == other.role == "gray" and min(pattern.bit, other.bit) <= 1
+    finest = pattern.role == other.role == "gray" and min(pattern.bit, other.bit) <= 2
     return not mirrored and not finest
 
 
