@@ -19,6 +19,7 @@ from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, U8, MatchResult, RectifiedPair, StereoPair
+from stereo_depth_ros.matching.protocol import Images
 from stereo_depth_ros.stages.depth import depth_from_disparity, depth_sigma
 from stereo_depth_ros.stages.disparity import DisparityStage
 from stereo_depth_ros.stages.point_cloud import CloudLayout, pack_points
@@ -30,7 +31,8 @@ __all__ = ["PreparedPair", "StereoPipeline", "StereoResult"]
 class StereoPipeline:
     """Rectification and matching; depth and points are computed from the result on demand.
 
-    Thread-safe: of concurrent pairs, at most :attr:`at_once` are matched at the same time.
+    Thread-safe: of concurrent pairs, at most :attr:`at_once` are matched at the same time. A matcher of several pairs
+    matches each pair together with those prepared before it, see ``temporal_window``.
 
     Args:
         config: parameters of all stages.
@@ -80,16 +82,18 @@ class StereoPipeline:
         return self.match(self.prepare(pair))
 
     def prepare(self, pair: StereoPair) -> PreparedPair:
-        """The first step of :meth:`process`: rectification."""
+        """The first step of :meth:`process`: rectification; of a stream, in the order of the pairs."""
         start = time.perf_counter()
         rectified = self._rectifier.rectify(pair, self._depth)
-        return PreparedPair(pair, rectified, {"rectify": 1e3 * (time.perf_counter() - start)})
+        earlier = self._disparity.earlier(rectified.left, rectified.right, pair.left.stamp_ns)
+        return PreparedPair(pair, rectified, {"rectify": 1e3 * (time.perf_counter() - start)}, earlier)
 
     def match(self, prepared: PreparedPair) -> StereoResult:
         """The second step of :meth:`process`: disparities."""
         pair, rectified = prepared.pair, prepared.rectified
         start = time.perf_counter()
-        disparity = self._disparity.match(rectified.left, rectified.right, lambda: self._exchanged(pair))
+        images = rectified.left, rectified.right
+        disparity = self._disparity.match(*images, lambda: self._exchanged(pair), prepared.earlier)
         timings_ms = {**prepared.timings_ms, "match": 1e3 * (time.perf_counter() - start)}
         return StereoResult(pair, rectified, disparity, self.rig, self.config, timings_ms, self._rectifier)
 
@@ -106,11 +110,13 @@ class PreparedPair:
         pair: the raw images.
         rectified: the rectified images.
         timings_ms: milliseconds by name of the stage.
+        earlier: the rectified pairs before it that are matched together with it.
     """
 
     pair: StereoPair
     rectified: RectifiedPair
     timings_ms: dict[str, float]
+    earlier: tuple[Images, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -40,17 +40,34 @@ def smoothed(values: I64, axis: int) -> I64:
 
 def costs_by_definition(left: U64, right: U64, max_disparity: int, count: int) -> I64:
     """int64 (H, W, K), index k is disparity ``max_disparity - k``; outside the cost at the end goes on, 31 at most."""
+    raw = continued(raw_by_definition(left, right, max_disparity, count), max_disparity)
+    return smoothed(smoothed(raw, axis=1), axis=0)
+
+
+def raw_by_definition(left: U64, right: U64, max_disparity: int, count: int) -> I64:
+    """int64 (H, W, K): the Hamming distances, 31 outside the right image."""
     height, width = left.shape
-    bits = [np.unpackbits(codes.view(np.uint8).reshape(height, width, 8), axis=2) for codes in (left, right)]
+    bits = [
+        np.unpackbits(np.ascontiguousarray(codes).view(np.uint8).reshape(height, width, 8), axis=2)
+        for codes in (left, right)
+    ]
     raw = np.full((height, width, count), 31, np.int64)
     for x in range(width):
+        for k in range(count):
+            if 0 <= x - max_disparity + k < width:
+                raw[:, x, k] = (bits[0][:, x] != bits[1][:, x - max_disparity + k]).sum(axis=1)
+    return raw
+
+
+def continued(raw: I64, max_disparity: int) -> I64:
+    """Outside the right image the distance at its end goes on, 31 at most."""
+    _, width, count = raw.shape
+    for x in range(width):
         seen = [k for k in range(count) if 0 <= x - max_disparity + k < width]
-        for k in seen:
-            raw[:, x, k] = (bits[0][:, x] != bits[1][:, x - max_disparity + k]).sum(axis=1)
         if seen:
             raw[:, x, : seen[0]] = np.minimum(raw[:, x, [seen[0]]], 31)
             raw[:, x, seen[-1] + 1 :] = np.minimum(raw[:, x, [seen[-1]]], 31)
-    return smoothed(smoothed(raw, axis=1), axis=0)
+    return raw
 
 
 def census(image: U8) -> U64:
@@ -60,11 +77,13 @@ def census(image: U8) -> U64:
 
 
 def costs(left: U64, right: U64, max_disparity: int, count: int, first: int = 0, last: int | None = None) -> U8:
-    height, width = left.shape
+    height, width = left.shape[-2:]
     last = height if last is None else last
     raw, smooth = np.empty((width + 2, count), np.uint8), np.empty((3, width, count), np.uint8)
+    sums = np.empty(count, np.uint16)
     cost = np.full((last - first, width, count), 255, np.uint8)
-    cost_rows(left, right, first, last, max_disparity, raw, smooth, cost)
+    census = np.stack([left, right], axis=-3).reshape(-1, 2, height, width)  # of one pair, or of several
+    cost_rows(census, first, last, max_disparity, raw, sums, smooth, cost)
     return cost
 
 
@@ -110,6 +129,17 @@ def test_costs_are_those_of_the_definition(shape: tuple[int, int], max_disparity
     for first, last in ((0, 1), (shape[0] // 2, shape[0]), (shape[0] - 1, shape[0])):
         band = costs(left, right, max_disparity, count, first, last)
         np.testing.assert_array_equal(band, expected[first:last])
+
+
+@pytest.mark.parametrize("pairs", [2, 3, 64])
+def test_costs_of_several_pairs_are_the_means_of_their_distances(pairs: int) -> None:
+    rng = np.random.default_rng(4)
+    left, right = (rng.integers(0, 1 << CENSUS_BITS, (pairs, 5, 40), np.uint64) for _ in range(2))
+    left[-1], right[-1] = 0, (1 << CENSUS_BITS) - 1  # 62, the largest
+    distances = [raw_by_definition(*pair, 20, 32) for pair in zip(left, right, strict=True)]
+    mean = np.floor(np.mean(distances, axis=0) + 0.5).astype(np.int64)
+    expected = smoothed(smoothed(continued(mean, 20), axis=1), axis=0)
+    np.testing.assert_array_equal(costs(left, right, 20, 32), expected)
 
 
 def test_costs_computed_by_hand() -> None:

@@ -93,7 +93,7 @@ def test_confidence_is_measured_and_plotted(run: Run, tmp_path: Path, monkeypatc
         def __init__(self, inner: Matcher) -> None:
             self.config, self._inner = inner.config, inner
 
-        def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
+        def match(self, left: U8, right: U8, out: F32 | None = None, earlier: Any = ()) -> MatchResult:
             found = self._inner.match(left, right)
             wrong = np.abs(found.disparity_px - pair()[2]) > 1
             confidence = np.where(np.isnan(found.disparity_px), 0, np.where(wrong, 0.25, 0.75)).astype(np.float32)
@@ -208,7 +208,7 @@ def test_a_constant_bias_is_named(run: Run, tmp_path: Path, monkeypatch: pytest.
         method = create_matcher(name, config)
         match = method.match
         if name == "bm":
-            monkeypatch.setattr(method, "match", lambda *images: plus(match(*images), 1.8))
+            monkeypatch.setattr(method, "match", lambda *images, **more: plus(match(*images, **more), 1.8))
         return method
 
     def plus(result: MatchResult, bias_px: float) -> MatchResult:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ class StubMatcher:
         self.config, self.calls = config, 0
         self._found, self._seconds = found, seconds
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
+    def match(self, left: U8, right: U8, out: F32 | None = None, earlier: Any = ()) -> MatchResult:
         time.sleep(self._seconds[self.calls] if self._seconds else 0)
         self.calls += 1
         reasons = np.where(np.isfinite(self._found), 0, int(Reason.NO_MATCH)).astype(np.uint8)

@@ -307,7 +307,7 @@ def test_create_by_name_number_and_public_name() -> None:
     assert matcher_from_config(config).config == config
 
 
-@pytest.mark.parametrize("name", ["sbm", 11, -1, True, 0.0, None])
+@pytest.mark.parametrize("name", ["sbm", len(MATCHERS), -1, True, 0.0, None])
 def test_unknown_matcher(name: Any) -> None:
     with pytest.raises(ConfigError, match=r"unknown matcher .*: known are bm \(0\), sgbm \(1\)"):
         create_matcher(name)

@@ -77,6 +77,8 @@ def evaluate(
     The disparity range of a scene is the smallest multiple of 16 (at least 32) above its largest true disparity, the
     same for every matcher, unless it is set by --param disparity_range:=...
 
+    In a bag, a matcher of several pairs (temporal_window) matches each pair together with those before it.
+
     A median signed error that is large against the spread of the errors is named: the disparities are shifted.
 
     "bad x" is the percentage of the matched pixels with truth whose error is above x px; "all" counts pixels without a
@@ -93,10 +95,10 @@ def evaluate(
     values = given_parameters(param or (), matcher, stages=("matching",))
     _check_options(matcher, plots, csv_file)
     config = pipeline_config(values).matching
-    for name in matcher:
-        create_matcher(name, config)  # reports unknown matchers and invalid parameters before anything runs
+    # Reports unknown matchers and invalid parameters before anything runs.
+    pair_count = max(create_matcher(name, config).pair_count for name in matcher)
     files = rig_file_paths(camera_info) if camera_info else []
-    sets = [_scenes(place, side_by_side, camera_info or ()) for place in places]
+    sets = [_scenes(place, side_by_side, camera_info or (), pair_count, config.temporal_gap_ns) for place in places]
     inputs = [*files, *(path for scenes in sets for path in _files(scenes)), *parameter_files(None, values)]
     plot_files = list(_plot_files(plots, sets, matcher)) if plots is not None else []
     check_outputs(plot_files, inputs, reports=[json_file, csv_file], overwrite=overwrite)
@@ -124,7 +126,9 @@ def _check_options(matchers: list[str], plots: Path | None, csv_file: Path | Non
         raise ConfigError("--csv - names no file", value="-", remedy="name one, or write JSON by --json -")
 
 
-def _scenes(place: Path, side_by_side: bool, camera_files: Sequence[Path]) -> SceneSet:
+def _scenes(
+    place: Path, side_by_side: bool, camera_files: Sequence[Path], pair_count: int, gap_ns: int | None
+) -> SceneSet:
     if not place.exists():
         raise BagError("does not exist", subject=str(place), remedy="name a folder of a dataset, or a bag")
     if not place.is_file() and not is_bag(place):
@@ -141,7 +145,7 @@ def _scenes(place: Path, side_by_side: bool, camera_files: Sequence[Path]) -> Sc
     selection, choice = open_selection(given, PairingConfig())
     if choice:
         warn(choice)
-    return BagScenes(selection)
+    return BagScenes(selection, pair_count, gap_ns)
 
 
 def _files(scenes: SceneSet) -> list[Path]:

@@ -15,6 +15,8 @@ _WINDOW = "correlation_window_size"
 _CORRELATION = (*_SEARCH, *_CHECKS, _WINDOW, "window_cost", "max_difference", "vertical_search")
 _GLOBAL = (*_SEARCH, *_CHECKS[1:], _WINDOW, "smoothness")
 
+_TEMPORAL = ("temporal_window", "temporal_gap")
+
 _SECOND_COST = "percentage by which the costs of all but the adjacent disparities must exceed the lowest cost"
 
 
@@ -57,7 +59,7 @@ _LINES = (
         "sgm",
         "sgm.semi_global_matching:SemiGlobalMatcher",
         "The default: semi-global matching of census costs (Hirschmueller 2008), 4 or 8 paths, sub-pixel.",
-        (*_SEARCH, *_CHECKS, "sgm_paths", "sgm_P1", "sgm_P2", "disparity_filter", "fill_holes"),
+        (*_SEARCH, *_CHECKS, "sgm_paths", "sgm_P1", "sgm_P2", "disparity_filter", "fill_holes", *_TEMPORAL),
         "three times the percentage by which the lowest summed cost must lie below the lowest one at least 2 px away",
     ),
     MatcherInfo(
@@ -111,6 +113,13 @@ _LINES = (
         "onnx:OnnxMatcher",
         "A user-supplied neural network, two images in and a disparity map out; needs onnxruntime.",
         (*_SEARCH, "onnx_model"),
+    ),
+    MatcherInfo(
+        "spacetime",
+        "spacetime.matcher:SpaceTimeMatcher",
+        "Correlation over windows in space and time, of the last pairs under changing light (Zhang et al. 2003).",
+        (*_SEARCH, *_CHECKS, _WINDOW, *_TEMPORAL, "slanted_windows"),
+        _SECOND_COST,
     ),
 )
 

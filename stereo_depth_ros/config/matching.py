@@ -35,7 +35,7 @@ class SearchConfig(Checked):
     )
     disp12_max_diff: int = parameter(
         0,
-        "Tolerance of the left-right check; with 0, sgbm and sgm use 1 px and the others do not check.",
+        "Tolerance of the left-right check; with 0, sgbm, sgm and spacetime use 1 px, the others do not check.",
         low=0,
         high=128,
         unit="px",
@@ -169,7 +169,32 @@ class OnnxConfig(Checked):
 
 
 @dataclass(frozen=True)
+class TemporalConfig(Checked):
+    """Parameters of ``spacetime``, and of ``sgm`` where it sums costs over time."""
+
+    temporal_window: int = parameter(
+        0,
+        "Number of pairs, the newest ones, that are matched together; 0 uses the default of the method: 8 for "
+        "spacetime, 1 for sgm.",
+        low=0,
+        high=64,
+    )
+    temporal_gap: float = parameter(
+        1.0,
+        "Longest time between successive pairs that are matched together; 0 means no limit.",
+        low=0.0,
+        high=3600.0,
+        unit="s",
+    )
+    slanted_windows: bool = parameter(
+        False,
+        "Windows whose disparity is linear in x, y and time, for slanted surfaces and moving scenes; slow.",
+    )
+
+
+@dataclass(frozen=True)
 class MatchingConfig(
+    TemporalConfig,
     OnnxConfig,  # dataclass fields are in the reverse order of the bases
     FeatureConfig,
     GlobalMethodConfig,
@@ -192,6 +217,11 @@ class MatchingConfig(
                 remedy="raise P2 or lower P1",
                 settings=("P2", "P1"),
             )
+
+    @property
+    def temporal_gap_ns(self) -> int | None:
+        """Longest time between successive pairs that are matched together, nanoseconds; None means no limit."""
+        return round(self.temporal_gap * 1e9) or None
 
     @property
     def max_disparity(self) -> int:

@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
+import contextlib
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,13 +18,26 @@ from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
-from stereo_depth_ros.core.errors import TopicError
+from stereo_depth_ros.core.errors import StereoDepthError, TopicError
+from stereo_depth_ros.core.pair_memory import PairMemory
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import RectifiedPair
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
+from stereo_depth_ros.matching.protocol import Images
 from stereo_depth_ros.messages.disparity import matched_disparity
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["BagScenes"]
+
+
+class _Rectified(NamedTuple):
+    """A rectified pair with its rig, and those before it that are matched together with it."""
+
+    rig: StereoRig
+    rectifier: Rectifier
+    pair: RectifiedPair
+    earlier: tuple[Images, ...]
 
 
 class BagScenes:
@@ -32,6 +47,8 @@ class BagScenes:
 
     Args:
         selection: the bag and its topics; it is read to the end.
+        pair_count: number of pairs that the matchers match together, see :class:`Scene`.
+        gap_ns: longest time between these, see :class:`PairMemory`.
 
     Attributes:
         names: every name that one of the scenes may have.
@@ -42,7 +59,8 @@ class BagScenes:
         TopicError: no true disparities in it, or no stereo pair.
     """
 
-    def __init__(self, selection: BagSelection) -> None:
+    def __init__(self, selection: BagSelection, pair_count: int = 1, gap_ns: int | None = None) -> None:
+        self._pair_count, self._gap_ns = pair_count, gap_ns
         self._selection, self._path = selection, selection.path
         self._types = RosbagsTypes()
         self._rectifiers = PerCalibration(self._types, lambda rig: (rig, Rectifier(rig)))
@@ -68,21 +86,29 @@ class BagScenes:
         with BagReader(self._path) as reader, BagPairs(self._selection, PairingConfig()) as pairs:
             truths = StampedMessages().read(reader.messages([TRUTH_TOPIC]))
             known = next(truths, None)
+            memory: PairMemory[Images] = PairMemory(self._pair_count, self._gap_ns)
             for number, pair in enumerate(pairs.pairs()):
                 while known is not None and known[0] < pair.stamp_ns:
                     known = next(truths, None)
+                rectified = cache(partial(self._rectified, pair, pairs.topics.image_type, memory))
                 if known is not None and known[0] == pair.stamp_ns:
-                    yield SceneSource(
-                        self._name(number), partial(self._load, pair, pairs.topics.image_type, known[1].data)
-                    )
+                    yield SceneSource(self._name(number), partial(self._load, rectified, known[1].data))
+                if self._pair_count > 1:
+                    with contextlib.suppress(StereoDepthError):  # a pair that cannot be read is in no memory
+                        rectified()
 
     def _name(self, number: int) -> str:
         return f"{self._path.resolve().stem}/{number:04d}"
 
-    def _load(self, pair: SerializedPair, image_type: str, truth: bytes) -> Scene:
+    def _rectified(self, pair: SerializedPair, image_type: str, memory: PairMemory[Images]) -> _Rectified:
         rig, rectifier = self._rectifiers.of(pair, image_type)
         rectified = rectifier.rectify(pair.images(self._types, image_type, rig, self._depth), self._rectified_depth)
+        earlier = memory.add((rectified.left, rectified.right), pair.stamp_ns, rig)
+        return _Rectified(rig, rectifier, rectified, earlier)
+
+    def _load(self, source: Callable[[], _Rectified], truth: bytes) -> Scene:
+        rig, rectifier, rectified, earlier = source()
         truth_px = matched_disparity(self._types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
         if truth_px.shape == rectified.left.shape:  # make_scene refuses other sizes
             truth_px[~rectifier.left_source] = np.nan
-        return make_scene(rectified.left, rectified.right, truth_px, doffs_px=rig.doffs_px)
+        return make_scene(rectified.left, rectified.right, truth_px, doffs_px=rig.doffs_px, earlier=earlier)

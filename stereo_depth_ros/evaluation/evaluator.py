@@ -16,7 +16,7 @@ import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig, parameter_infos
 from stereo_depth_ros.core.errors import ImageError
-from stereo_depth_ros.core.types import F32, F64, U8, MatchResult
+from stereo_depth_ros.core.types import F32, F64, MatchResult
 from stereo_depth_ros.evaluation.metrics import DisparityErrors, disparity_errors
 from stereo_depth_ros.evaluation.scenes import Scene
 from stereo_depth_ros.evaluation.sparsification import SparsificationCurve, sparsification
@@ -131,7 +131,7 @@ def evaluate(name: str, scene: Scene, matcher: str, config: MatchingConfig, give
         ImageError: the matcher refuses the images, or returns another size or an invalid confidence.
     """
     method = create_matcher(matcher, search_range(config, scene.truth_px, given))
-    result, ms, runs = _timed(method, scene.left, scene.right)
+    result, ms, runs = _timed(method, scene)
     if result.disparity_px.shape != scene.truth_px.shape:
         raise ImageError(
             f"{matcher} returns {result.disparity_px.shape}, the image is {scene.truth_px.shape}",
@@ -173,13 +173,13 @@ def search_range(config: MatchingConfig, truth_px: F32, given: Collection[str] =
     return dataclasses.replace(config, **changes)  # type: ignore[arg-type]
 
 
-def _timed(matcher: Matcher, left: U8, right: U8) -> tuple[MatchResult, float, int]:
+def _timed(matcher: Matcher, scene: Scene) -> tuple[MatchResult, float, int]:
     """Result, median milliseconds and number of the timed calls after a warm-up call."""
-    result = matcher.match(left, right)
+    result = matcher.match(scene.left, scene.right, earlier=scene.earlier)
     seconds: list[float] = []
     while len(seconds) < _RUNS and sum(seconds) < _ENOUGH_S:
         begin = time.perf_counter()
-        result = matcher.match(left, right)
+        result = matcher.match(scene.left, scene.right, earlier=scene.earlier)
         seconds.append(time.perf_counter() - begin)
     return result, 1e3 * statistics.median(seconds), len(seconds)
 

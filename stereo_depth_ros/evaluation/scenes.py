@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from stereo_depth_ros.datasets.image_files import list_images, read_disparity_im
 from stereo_depth_ros.datasets.kitti import read_truth
 from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene
 from stereo_depth_ros.evaluation.occlusion import visible_pixels
+from stereo_depth_ros.matching.protocol import Images
 
 __all__ = ["Scene", "SceneSet", "SceneSource", "find_scenes", "make_scene"]
 
@@ -44,6 +45,7 @@ class Scene:
         occlusion: source of ``visible``: "mask" (of the dataset) or "truth" (computed from ``truth_px``).
         foreground: bool (H, W), true on the objects of the KITTI object map; None without one.
         doffs_px: cx_left - cx_right in pixels, the disparity at infinity; 0 where it is unknown.
+        earlier: the pairs before this one of a sequence, the oldest first, for matchers of several pairs.
     """
 
     left: U8
@@ -53,6 +55,7 @@ class Scene:
     occlusion: str
     foreground: Mask | None = None
     doffs_px: float = 0.0
+    earlier: Sequence[Images] = ()
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,7 @@ def make_scene(
     visible: Mask | None = None,
     foreground: Mask | None = None,
     doffs_px: float = 0.0,
+    earlier: Sequence[Images] = (),
 ) -> Scene:
     """A scene of parts of one size; without ``visible`` it is computed from the truth.
 
@@ -103,7 +107,7 @@ def make_scene(
         raise ImageError("no pixel has a true disparity", value=0, remedy="copy the file with the truth again")
     occlusion = "truth" if visible is None else "mask"
     visible = visible_pixels(truth_px) if visible is None else visible
-    return Scene(left, right, truth_px, visible, occlusion, foreground, doffs_px)
+    return Scene(left, right, truth_px, visible, occlusion, foreground, doffs_px, earlier)
 
 
 def find_scenes(folder: Path) -> list[SceneSource]:

@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from stereo_depth_ros.config.matchers import matchers_with
 from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 
-__all__ = ["Matcher", "check_buffer", "check_images", "check_pair", "check_search"]
+__all__ = ["Images", "Matcher", "check_buffer", "check_images", "check_pair", "check_search"]
+
+Images: TypeAlias = tuple[U8, U8]  # left and right
 
 # Disparities are 16-bit integers in steps of 1/16 px, as in OpenCV; one whole pixel is reserved for "invalid".
 X16_STEPS = 16
@@ -44,13 +47,19 @@ class Matcher(Protocol):
     def support_px(self) -> tuple[int, int]:
         """Width and height, odd, px, of the window of a matching cost, without prefilters or smoothing."""
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
-        """Disparities of the left image.
+    @property
+    def pair_count(self) -> int:
+        """Number of pairs of a sequence, the newest ones, that it matches together; 1 for a method of single pairs."""
+
+    def match(self, left: U8, right: U8, out: F32 | None = None, earlier: Sequence[Images] = ()) -> MatchResult:
+        """Disparities of the left image. They depend on the arguments alone, not on the calls before.
 
         Args:
             left, right: uint8 (H, W), rectified gray: a point has the same row in both.
             out: float32 (H, W), C-contiguous, becomes ``disparity_px`` of the result; None allocates it. It receives a
                 copy, so that it can be reused while results are kept for their confidence.
+            earlier: the pairs before this one, the oldest first, of the same size; the last ``pair_count`` - 1 of them
+                are used. With fewer, the pairs that there are are matched together.
 
         Raises:
             ImageError: wrong dtype or shape, or too small for the window and the search range.

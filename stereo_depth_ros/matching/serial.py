@@ -7,12 +7,14 @@ from __future__ import annotations
 import dataclasses
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F32, U8, MatchResult
-from stereo_depth_ros.matching.protocol import check_buffer, check_images
+from stereo_depth_ros.matching.protocol import Images, check_buffer, check_images
 
 __all__ = ["SerialMatcher"]
 
@@ -23,6 +25,7 @@ class SerialMatcher(ABC):
     name: str
     step_px: float
     uses_one_core = False
+    pair_count = 1
 
     def __init__(self, config: MatchingConfig) -> None:
         self.config = config
@@ -33,19 +36,25 @@ class SerialMatcher(ABC):
         """See :class:`Matcher`; the matching window, unless a method overrides it."""
         return self.config.correlation_window_size, self.config.correlation_window_size
 
-    def match(self, left: U8, right: U8, out: F32 | None = None) -> MatchResult:
+    def match(self, left: U8, right: U8, out: F32 | None = None, earlier: Sequence[Images] = ()) -> MatchResult:
         """See :class:`~stereo_depth_ros.matching.protocol.Matcher`."""
         check_images(left, right)
         if out is not None:
             check_buffer(out, left.shape)
-        left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
+        before = list(earlier)[1 - self.pair_count :] if self.pair_count > 1 else []
+        for pair in before:
+            _check_earlier(pair, left)
         with self._turn:
-            result = self._match(left, right)
+            result = self._match_pairs([_contiguous(pair) for pair in (*before, (left, right))])
         if out is None:
             return dataclasses.replace(result, support_px=self.support_px)
         # A confidence computed later reads the disparities of the method, not the buffer of the caller.
         out[:] = result.disparity_px
         return dataclasses.replace(result, disparity_px=out, support_px=self.support_px)
+
+    def _match_pairs(self, pairs: Sequence[Images]) -> MatchResult:
+        """As :meth:`_match`, of the last of one to ``pair_count`` pairs; a method of single pairs matches it alone."""
+        return self._match(*pairs[-1])
 
     @abstractmethod
     def _match(self, left: U8, right: U8) -> MatchResult:
@@ -54,3 +63,18 @@ class SerialMatcher(ABC):
         Args:
             left, right: uint8 (H, W), C-contiguous, of one size; the method checks whether the search range fits.
         """
+
+
+def _contiguous(pair: Images) -> Images:
+    return np.ascontiguousarray(pair[0]), np.ascontiguousarray(pair[1])
+
+
+def _check_earlier(pair: Images, newest: U8) -> None:
+    check_images(*pair)
+    if pair[0].shape != newest.shape:
+        raise ImageError(
+            f"an earlier pair is {pair[0].shape}, the newest is {newest.shape}",
+            value=pair[0].shape,
+            limit=newest.shape,
+            remedy="match pairs of one size together",
+        )

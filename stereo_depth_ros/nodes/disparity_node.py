@@ -12,6 +12,7 @@ from stereo_depth_ros.config import CameraInfoConfig, MatchingConfig, PairingCon
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, MatchResult, StereoPair
+from stereo_depth_ros.matching.protocol import Images
 from stereo_depth_ros.messages.disparity import match_message
 from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.nodes.base import StereoNode
@@ -38,12 +39,13 @@ class _Frame(NamedTuple):
 
 
 class _Decoded(NamedTuple):
-    """A frame, and its images in gray."""
+    """A frame, its images in gray, and those before it that are matched together with it."""
 
     frame: _Frame
     pair: StereoPair
     left: U8
     right: U8
+    earlier: tuple[Images, ...]
 
 
 class DisparityNode(StereoNode):
@@ -81,15 +83,16 @@ class DisparityNode(StereoNode):
 
     def _prepare(self, frame: _Frame) -> _Decoded:
         pair = self._pairs.decode(frame.left, frame.right)
-        return _Decoded(frame, pair, to_gray(pair.left), to_gray(pair.right))
+        left, right = to_gray(pair.left), to_gray(pair.right)
+        return _Decoded(frame, pair, left, right, frame.stage.earlier(left, right, pair.left.stamp_ns))
 
     def _match(self, decoded: _Decoded) -> tuple[_Decoded, MatchResult]:
         with self.diagnostics.timed("match"):
-            return decoded, decoded.frame.stage.match(decoded.left, decoded.right)
+            return decoded, decoded.frame.stage.match(decoded.left, decoded.right, earlier=decoded.earlier)
 
     def _publish(self, future: Future[tuple[_Decoded, MatchResult]]) -> None:
         with self._first_pairs.refusing():
-            (frame, pair, left, right), match = future.result()
+            (frame, pair, left, right, _), match = future.result()
             self._first_pairs.look(frame.rig, frame.rectifier.shown, pair, left, right, match)
         self._output.publish(match_message(self.types, self._pool, match, frame.config, frame.rig, pair.left))
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from queue import LifoQueue
 
 import numpy as np
@@ -12,8 +12,10 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import core_count, run_bands
 from stereo_depth_ros.core.kernels import compile_kernels, compiled
+from stereo_depth_ros.core.pair_memory import PairMemory
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.matching import Matcher, matcher_from_config
+from stereo_depth_ros.matching.protocol import Images
 from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 from stereo_depth_ros.stages.depth import reject_behind
 from stereo_depth_ros.stages.rectification import Rectifier
@@ -47,13 +49,32 @@ class DisparityStage:
         for other in (matcher_from_config(config) for _ in range(self.at_once - 1)):
             self._free_matchers.put(other)
         self._free_matchers.put(matcher)
+        self._memory: PairMemory[Images] = PairMemory(matcher.pair_count, config.temporal_gap_ns)
         self._doffs_px = rig.doffs_px
         self._swap_detector = CameraSwapDetector(rig.doffs_px) if rig.metric else None
         seen = rectifier.seen(matcher.support_px)
         self._seen = None if all(side.all() for side in seen) else seen
         compile_kernels()
 
-    def match(self, left: U8, right: U8, exchange: Callable[[], tuple[U8, U8]] | None = None) -> MatchResult:
+    def earlier(self, left: U8, right: U8, stamp_ns: int) -> tuple[Images, ...]:
+        """The pairs before this one that the matcher matches together with it, see :class:`PairMemory`.
+
+        To be called with each pair in order; :meth:`match` may then be called in any order. A stage is of one rig and
+        one set of parameters, so that a change of these begins anew.
+
+        Args:
+            left, right: uint8 (H, W), rectified; they must not change afterwards.
+            stamp_ns: of the left image, nanoseconds.
+        """
+        return self._memory.add((left, right), stamp_ns, left.shape)
+
+    def match(
+        self,
+        left: U8,
+        right: U8,
+        exchange: Callable[[], tuple[U8, U8]] | None = None,
+        earlier: Sequence[Images] = (),
+    ) -> MatchResult:
         """Disparities of a rectified pair, NaN with a reason if invalid.
 
         Rejected are pixels not in front of the cameras (RANGE), and those where the support of the matcher leaves the
@@ -62,6 +83,7 @@ class DisparityStage:
         Args:
             left, right: uint8 (H, W).
             exchange: rectifies the raw images in the other order, see :class:`CameraSwapDetector`.
+            earlier: the pairs before this one, of :meth:`earlier`.
 
         Raises:
             ImageError: different sizes, or images too small for the search range.
@@ -71,7 +93,7 @@ class DisparityStage:
             self._swap_detector.check(left, right, exchange)
         matcher = self._free_matchers.get()
         try:
-            result = matcher.match(left, right)
+            result = matcher.match(left, right, earlier=earlier)
         finally:
             self._free_matchers.put(matcher)
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)

@@ -13,7 +13,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
-from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.core.types import U8, U16
 
 __all__ = ["CENSUS_BITS", "CENSUS_WINDOW", "U64", "census_rows", "cost_rows"]
 
@@ -26,6 +26,7 @@ NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # average cost of unrelated pixels
 
 _ONE, _EIGHT = np.uint8(1), np.uint64(8)
 _ONE_16 = np.uint16(1)
+_SHARE_BITS, _HALF = np.uint32(16), np.uint32(1 << 15)  # of 1 / number of pairs, rounded
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -103,15 +104,36 @@ def _hamming(code: np.uint64, others: U64, out: U8) -> None:
 
 
 @compiled(allocates=False)
-def _hamming_row(left: U64, right: U64, max_disparity: int, raw: U8) -> None:
+def _add_hamming(code: np.uint64, others: U64, sums: U16) -> None:
+    for k in range(sums.size):
+        sums[k] = np.uint16(sums[k] + np.uint16(_popcount(code ^ others[k])))
+
+
+@compiled(allocates=False)
+def _mean_hamming(census: U64, y: int, x: int, first: int, sums: U16, out: U8) -> None:
+    """Means over the pairs of the distances of left pixel (x, y) to the right pixels from column ``first`` on."""
+    pairs = len(census)
+    sums[:] = 0
+    for n in range(pairs):
+        _add_hamming(census[n, 0, y, x], census[n, 1, y, first : first + out.size], sums)
+    share = np.uint32(((1 << 16) + pairs // 2) // pairs)
+    for k in range(out.size):
+        out[k] = np.uint8(np.uint32(np.uint32(sums[k]) * share + _HALF) >> _SHARE_BITS)
+
+
+@compiled(allocates=False)
+def _hamming_row(census: U64, y: int, max_disparity: int, raw: U8, sums: U16) -> None:
     """Distances of one row, from ``raw[1]`` on; the first and last pixel are repeated for the smoothing."""
-    width, count = left.size, raw.shape[1]
+    width, count = census.shape[3], raw.shape[1]
     for x in range(width):
         at = x - max_disparity  # right column of index 0
         begin, end = min(max(-at, 0), count), max(min(width - at, count), 0)
         here = raw[x + 1]
         if begin < end:
-            _hamming(left[x], right[at + begin : at + end], here[begin:end])
+            if len(census) == 1:
+                _hamming(census[0, 0, y, x], census[0, 1, y, at + begin : at + end], here[begin:end])
+            else:
+                _mean_hamming(census, y, x, at + begin, sums[begin:end], here[begin:end])
             here[:begin] = min(here[begin], NEUTRAL_COST)
             here[end:] = min(here[end - 1], NEUTRAL_COST)
         else:
@@ -122,27 +144,30 @@ def _hamming_row(left: U64, right: U64, max_disparity: int, raw: U8) -> None:
 
 
 @compiled(allocates=False)
-def cost_rows(left: U64, right: U64, first: int, last: int, max_disparity: int, raw: U8, smooth: U8, cost: U8) -> None:
+def cost_rows(census: U64, first: int, last: int, max_disparity: int, raw: U8, sums: U16, smooth: U8, cost: U8) -> None:
     """Matching costs of a band of rows: Hamming distances, smoothed by (1 2 1) / 4 along x and along y.
+
+    Of several pairs of one scene the distance is the mean over the pairs, rounded to whole bits.
 
     Index k of a cost counts down from the largest disparity, so that it increases along the right image. Outside the
     right image the distance of the border pixel is repeated, at most ``NEUTRAL_COST``: a constant would favor the
     disparities inside, and paths would propagate that bias over images without texture.
 
     Args:
-        left, right: census of the images, uint64 (H, W).
+        census: of the left and the right image of each pair, uint64 (pairs, 2, H, W).
         first, last: rows whose costs are written, from ``cost[0]`` on.
         max_disparity: largest disparity, px.
         raw: scratch, uint8 (W + 2, K).
+        sums: scratch, uint16 (K,).
         smooth: scratch, uint8 (3, W, K), the latest rows smoothed along x.
         cost: uint8 (rows, W, K), at most 62.
     """
-    height, width = left.shape
+    height, width = census.shape[2:]
     done = -1
     for y in range(first, last):
         for near in range(max(y - 1, 0), min(y + 2, height)):
             if near > done:
-                _hamming_row(left[near], right[near], max_disparity, raw)
+                _hamming_row(census, near, max_disparity, raw, sums)
                 for x in range(width):
                     _quarter_half_quarter(raw[x], raw[x + 1], raw[x + 2], smooth[near % 3, x])
                 done = near

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.filters.hole_filling import fill_holes
 from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter
 from stereo_depth_ros.matching.local_consistency import local_consistency
-from stereo_depth_ros.matching.protocol import check_pair
+from stereo_depth_ros.matching.protocol import Images, check_pair
 from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST
 from stereo_depth_ros.matching.sgm.strips import (
@@ -58,6 +59,10 @@ class SemiGlobalMatcher(SerialMatcher):
     margin times the local consistency, computed on demand. With ``fill_holes`` every pixel has a disparity; filled
     pixels have confidence 0.
 
+    With ``temporal_window`` T above 1 the cost of a disparity is the mean of its Hamming distances in the last T pairs:
+    the scene is static and its light changes, as in :mod:`stereo_depth_ros.matching.spacetime.matcher`. P2 then follows
+    the edges of the mean of the left images.
+
     ``support_px`` is the census window, 9 x 7 pixels; the smoothing of the costs reads one more pixel on all sides.
     """
 
@@ -81,20 +86,27 @@ class SemiGlobalMatcher(SerialMatcher):
             ramp=np.arange(config.num_disparities, dtype=np.uint32),
             approach_rows=APPROACH_ROWS,
         )
-        self._census: U64 = np.empty((2, 0, 0), np.uint64)
+        self.pair_count = config.temporal_window or 1
+        self._census: U64 = np.empty((0, 2, 0, 0), np.uint64)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
+        return self._match_pairs([(left, right)])
+
+    def _match_pairs(self, pairs: Sequence[Images]) -> MatchResult:
+        left, right = pairs[-1]
         check_pair(left, right, self, partial=True)
         disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
         margin = np.empty(left.shape, np.float32)
-        if self._census.shape[1:] != left.shape:
+        if self._census.shape[2:] != left.shape:
             self._allocate(*left.shape)
-        run_bands(census_rows, len(left), left, self._census[0])
-        run_bands(census_rows, len(left), right, self._census[1])
+        census = self._census[: len(pairs)]
+        for pair, codes in zip(pairs, census, strict=True):
+            for image, own in zip(pair, codes, strict=True):
+                run_bands(census_rows, len(image), image, own)
         output = Output(disparity_px, self._coarse, reasons, margin)
         bands = len(self._scratch.raw)
-        given = (left, self._census, self._search)
+        given = (_mean_image([pair[0] for pair in pairs]), census, self._search)
         run_bands(match_bands, bands, bands, self._strips, *given, self._scratch, output, min_rows=1)
         self._speckle_filter(self._coarse, reasons)
         run_bands(_reject_rows, len(left), reasons, disparity_px, margin)
@@ -115,7 +127,17 @@ class SemiGlobalMatcher(SerialMatcher):
         self._scratch = Scratch.allocate(bands, min(highest + 2 * approach, height), width, self.config)
         self._search = self._search._replace(approach_rows=approach)
         self._coarse: I16 = np.zeros((height, width), np.int16)
-        self._census = np.empty((2, height, width), np.uint64)
+        self._census = np.empty((self.pair_count, 2, height, width), np.uint64)
+
+
+def _mean_image(images: Sequence[U8]) -> U8:
+    """The mean of the left images, in which the edges of projected patterns average out; uint8 (H, W)."""
+    if len(images) == 1:
+        return images[0]
+    total = np.zeros(images[0].shape, np.uint16)
+    for image in images:
+        total += image
+    return np.asarray(total // len(images), np.uint8)
 
 
 def _check_penalties(config: MatchingConfig) -> None:

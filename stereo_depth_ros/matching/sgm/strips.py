@@ -64,6 +64,7 @@ class Scratch(NamedTuple):
     """
 
     raw: U8  # (W + 2, K) see cost_rows
+    sums: U16  # (K,) see cost_rows
     smooth: U8  # (3, W, K)
     cost: U8  # (rows, W, K) matching costs
     down: U8  # (directions, rows, W, K + 2) path costs from above
@@ -84,6 +85,7 @@ class Scratch(NamedTuple):
         never = LARGEST_PATH_COST - config.sgm_P1
         return cls(
             raw=_on_pages((bands, width + 2, count), np.uint8),
+            sums=_on_pages((_APART * bands, count), np.uint16),
             smooth=_on_pages((bands, 3, width, count), np.uint8),
             cost=_on_pages((bands, rows, width, count), np.uint8),
             down=_on_pages((bands, directions, rows, width, count + 2), np.uint8, never),
@@ -207,7 +209,7 @@ def _match_strip(a: int, b: int, image: U8, census: U64, search: Search, scratch
     height, width = image.shape
     top, bottom = max(a - search.approach_rows, 0), min(b + search.approach_rows, height)
     directions = len(s.down)
-    cost_rows(census[0], census[1], top, bottom, search.max_disparity, s.raw, s.smooth, s.cost)
+    cost_rows(census, top, bottom, search.max_disparity, s.raw, s.sums, s.smooth, s.cost)
     for y in range(top, b):
         i, before = y - top, max(y - 1 - top, 0)
         for n in range(directions):
@@ -231,7 +233,8 @@ def _match_strip(a: int, b: int, image: U8, census: U64, search: Search, scratch
 _SEARCH = numba.types.NamedTuple([int64, float64, int64, uint8, uint8[::1], uint32[::1], int64], Search)
 _SCRATCH = numba.types.NamedTuple(
     [
-        *(uint8[:, :, ::1], uint8[:, :, :, ::1], uint8[:, :, :, ::1], uint8[:, :, :, :, ::1], uint8[:, :, :, :, ::1]),
+        *(uint8[:, :, ::1], uint16[:, ::1], uint8[:, :, :, ::1], uint8[:, :, :, ::1]),
+        *(uint8[:, :, :, :, ::1], uint8[:, :, :, :, ::1]),
         *(uint8[:, :, ::1], uint8[:, :, :, ::1], uint8[:, :, :, ::1]),
         *(uint16[:, :, ::1], uint32[:, ::1], uint32[:, ::1], uint16[:, ::1]),
     ],
@@ -241,7 +244,8 @@ _OUTPUT = numba.types.NamedTuple([float32[:, ::1], int16[:, ::1], uint8[:, ::1],
 
 
 @compiled(
-    numba.void(int64, int64, int64, int64, READ_ONLY_U8, uint64[:, :, ::1], _SEARCH, _SCRATCH, _OUTPUT), allocates=False
+    numba.void(int64, int64, int64, int64, READ_ONLY_U8, uint64[:, :, :, ::1], _SEARCH, _SCRATCH, _OUTPUT),
+    allocates=False,
 )
 def match_bands(
     first: int,
@@ -259,6 +263,7 @@ def match_bands(
     for band in range(first, last):
         own = Scratch(
             scratch.raw[band],
+            scratch.sums[_APART * band],
             scratch.smooth[band],
             scratch.cost[band],
             scratch.down[band],
