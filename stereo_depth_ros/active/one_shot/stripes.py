@@ -9,6 +9,7 @@ changes d are a de Bruijn sequence, so that a few of them in a row are found at 
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,7 @@ I8 = npt.NDArray[np.int8]
 CHANGES = (1, 2, 4, 5, 6)
 _FIRST_COLOR = 4
 _SHORTEST_PX = 2
-_LONGEST_WINDOW = 6
+_LONGEST_WINDOW = 8
 _MIN_CONTRAST = 64  # of a channel of a pattern, gray levels
 _UNDECIDED = 0.15  # around the middle of the range of a channel
 _LEVEL = np.array([4, 2, 1])
@@ -39,16 +40,28 @@ class StripePattern:
 
     Attributes:
         size: width, height of the pattern, px.
-        edges_px: float64 (N,), columns of the changes, increasing; pixel centers have integer coordinates, so that a
-            change between the pixels 1 and 2 is at 1.5.
+        axis: "columns" of vertical stripes, "rows" of horizontal ones: the coordinate that the pattern codes.
+        edges_px: float64 (N,), columns or rows of the changes, increasing; pixel centers have integer coordinates, so
+            that a change between the pixels 1 and 2 is at 1.5.
         changes: int8 (N, 3), the change of red, green and blue: 1 rises, -1 falls, 0 stays.
         window: any so many successive changes are found once in the pattern.
     """
 
     size: tuple[int, int]
+    axis: str
     edges_px: F64
     changes: I8
     window: int
+
+    @property
+    def length_px(self) -> int:
+        """Number of columns or rows that are coded."""
+        return self.size[0] if self.axis == "columns" else self.size[1]
+
+    def turned(self) -> StripePattern:
+        """The pattern rotated by half a turn."""
+        edges_px = (self.length_px - 1 - self.edges_px)[::-1].copy()
+        return dataclasses.replace(self, edges_px=edges_px, changes=-self.changes[::-1])
 
 
 def stripe_pattern(size: tuple[int, int], stripe_px: int | None = None, window: int = 3) -> U8:
@@ -134,10 +147,11 @@ def read_stripes(pattern: npt.NDArray[Any]) -> StripePattern:
     than half of the narrowest stripe are one.
 
     Args:
-        pattern: uint8 (H, W, 3), RGB, vertical stripes; noise and blurred borders of the stripes are fine.
+        pattern: uint8 (H, W, 3), RGB, vertical or horizontal stripes; noise and blurred borders of the stripes are
+            fine.
 
     Raises:
-        ImageError: not such an image, stripes that are not vertical, or changes whose order does not tell them apart.
+        ImageError: not such an image, or changes of color whose order does not tell them apart.
     """
     if not isinstance(pattern, np.ndarray) or pattern.dtype != np.uint8 or pattern.ndim != 3 or pattern.shape[2] != 3:
         raise ImageError(
@@ -150,9 +164,11 @@ def read_stripes(pattern: npt.NDArray[Any]) -> StripePattern:
         )
     if not pattern.size:
         raise _not_a_code("it has no pixels", pattern.shape)
-    row = np.median(pattern, axis=0)
+    axis, row = "columns", np.median(pattern, axis=0)
     if np.abs(pattern - row).mean() > _MIN_CONTRAST / 4:
-        raise _not_a_code("its rows differ", pattern.shape)
+        axis, row = "rows", np.median(pattern, axis=1)
+        if np.abs(pattern - row[:, None]).mean() > _MIN_CONTRAST / 4:
+            raise _not_a_code("both its rows and its columns differ", pattern.shape)
     columns, channels, signs = [], [], []
     for channel in range(3):
         values = row[:, channel]
@@ -178,7 +194,8 @@ def read_stripes(pattern: npt.NDArray[Any]) -> StripePattern:
     edges = np.bincount(number, column) / np.bincount(number)
     changes = np.zeros((edges.size, 3), np.int8)
     changes[number, channel_of] = sign
-    return StripePattern((pattern.shape[1], pattern.shape[0]), edges, changes, _unique_window(changes, pattern.shape))
+    size = (pattern.shape[1], pattern.shape[0])
+    return StripePattern(size, axis, edges, changes, _unique_window(changes, pattern.shape))
 
 
 def _unique_window(changes: I8, shape: tuple[int, ...]) -> int:
@@ -193,9 +210,9 @@ def _unique_window(changes: I8, shape: tuple[int, ...]) -> int:
 
 def _not_a_code(problem: str, shape: tuple[int, ...]) -> ImageError:
     return ImageError(
-        f"the pattern is not a code of vertical color stripes, {problem}",
+        f"the pattern is not a code of color stripes, {problem}",
         subject="stripe pattern",
         value=shape,
-        limit="vertical stripes",
+        limit="vertical or horizontal stripes",
         remedy="use a pattern of stereo-depth patterns --kind stripes, or another de Bruijn pattern",
     )
