@@ -185,6 +185,8 @@ _PARTS: Mapping[str, str] = {
     "rectification": "the rectification",
     "health": "calibration_monitor",
     "calibration": "calibration_node",
+    "light_stripe": "light stripe scanning",
+    "stripe_motion": "light_stripe_node",
 }
 
 

@@ -33,6 +33,7 @@ COMMANDS: Mapping[str, str] = {
     "process": "Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.",
     "replay": "Play a bag through the live graph in the current ROS_DOMAIN_ID and record the outputs.",
     "calibrate": "Calibrate both cameras and the rig from image pairs of a calibration board.",
+    "calibrate-laser": "Calibrate the light plane of a laser from images of its stripe on a board.",
     "rectify": "Rectify a pair of images, with or without a calibration.",
     "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
     "convert": "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth.",

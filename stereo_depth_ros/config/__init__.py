@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters: one frozen dataclass per stage and per matching method, the single source of all parameter metadata."""
 
+from stereo_depth_ros.config.light_stripe import LightStripeConfig, StripeMotionConfig
 from stereo_depth_ros.config.matching import MatchingConfig
 from stereo_depth_ros.config.parameter import ParameterInfo, parameter_infos, replace_checked, unknown_parameter
 from stereo_depth_ros.config.stages import (
@@ -23,11 +24,13 @@ __all__ = [
     "CameraInfoConfig",
     "CloudConfig",
     "DepthConfig",
+    "LightStripeConfig",
     "MatchingConfig",
     "PairingConfig",
     "ParameterInfo",
     "PipelineConfig",
     "RectificationConfig",
+    "StripeMotionConfig",
     "parameter_infos",
     "replace_checked",
     "unknown_parameter",

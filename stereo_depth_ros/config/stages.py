@@ -12,6 +12,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from stereo_depth_ros.config.light_stripe import LightStripeConfig, StripeMotionConfig
 from stereo_depth_ros.config.matching import MatchingConfig
 from stereo_depth_ros.config.parameter import Checked, parameter
 
@@ -214,4 +215,6 @@ CONFIGS: Mapping[str, type] = {
     **{item.name: type(item.default) for item in dataclasses.fields(PipelineConfig)},
     "health": CalibrationMonitorConfig,
     "calibration": CalibrationConfig,
+    "light_stripe": LightStripeConfig,
+    "stripe_motion": StripeMotionConfig,
 }

@@ -27,6 +27,8 @@ def camera_rays(points_px: F64, camera: CameraModel) -> F64:
     Args:
         points_px: float64 (N, 2) of the raw image.
     """
+    if not len(points_px):
+        return np.empty((0, 3))
     if camera.distortion_model == "equidistant":
         return _fisheye_rays(points_px, camera)
     scaled = normalized_points(points_px, camera.distortion_model, camera.K, camera.D)

@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Images of folders in the order of the numbers in their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from stereo_depth_ros.core.errors import BagError
+from stereo_depth_ros.core.types import Frame
+from stereo_depth_ros.datasets.image_files import list_images, read_image
+
+__all__ = ["numbered_images", "read_plain_frame"]
+
+
+def numbered_images(places: Iterable[Path]) -> list[Path]:
+    """Image files, and those of folders, each folder in the order of the numbers in the names: 2.png before 10.png.
+
+    Raises:
+        BagError: a place that does not exist, or a folder without images.
+    """
+    found: list[Path] = []
+    for place in places:
+        if not place.exists():
+            raise BagError("does not exist", subject=str(place), remedy="name a folder of images")
+        images = sorted(list_images(place), key=_order) if place.is_dir() else [place]
+        if not images:
+            raise BagError("holds no images", subject=str(place), remedy="name a folder of images")
+        found += images
+    return found
+
+
+def read_plain_frame(path: Path, stamp_ns: int = 0, frame_id: str = "camera_optical_frame") -> Frame:
+    """The image as a frame, mono8 or bgr8.
+
+    Raises:
+        BagError: not a readable image.
+    """
+    pixels = read_image(path)
+    return Frame(pixels, stamp_ns, frame_id, "mono8" if pixels.ndim == 2 else "bgr8")
+
+
+def _order(path: Path) -> tuple[tuple[int, str], ...]:
+    """Numbers by value, other parts by their text."""
+    parts = re.findall(r"\d+|\D+", path.name)
+    return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in parts)
