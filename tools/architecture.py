@@ -45,6 +45,7 @@ ORDER = (
     "active",
     "evaluation",
     "plots",
+    "views",
     "diagnosis",
     "offline",
     "replay",
