@@ -17,6 +17,7 @@ NODES = (
     "feature_node",
     "calibration_monitor",
     "calibration_node",
+    "structured_light_node",
     "replay_node",
 )
 ROOT = Path(__file__).resolve().parent  # setup.py may be a link in a build folder (colcon --symlink-install)

@@ -16,6 +16,7 @@ from stereo_depth_ros.config.stages import (
     PipelineConfig,
     RectificationConfig,
 )
+from stereo_depth_ros.config.structured_light import StructuredLightConfig
 
 __all__ = [
     "CONFIGS",
@@ -31,6 +32,7 @@ __all__ = [
     "PipelineConfig",
     "RectificationConfig",
     "StripeMotionConfig",
+    "StructuredLightConfig",
     "parameter_infos",
     "replace_checked",
     "unknown_parameter",

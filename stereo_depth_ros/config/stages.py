@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from stereo_depth_ros.config.light_stripe import LightStripeConfig, StripeMotionConfig
 from stereo_depth_ros.config.matching import MatchingConfig
 from stereo_depth_ros.config.parameter import Checked, parameter
+from stereo_depth_ros.config.structured_light import StructuredLightConfig
 
 __all__ = [
     "CONFIGS",
@@ -215,6 +216,7 @@ CONFIGS: Mapping[str, type] = {
     **{item.name: type(item.default) for item in dataclasses.fields(PipelineConfig)},
     "health": CalibrationMonitorConfig,
     "calibration": CalibrationConfig,
+    "structured_light": StructuredLightConfig,
     "light_stripe": LightStripeConfig,
     "stripe_motion": StripeMotionConfig,
 }
