@@ -106,6 +106,7 @@ class StructuredLightNode(StereoNode):
     def _add(self, capture: Capture, rig: StereoRig) -> None:
         self._collector.settle = self.parameters.get(StructuredLightConfig).settle_frames
         complete = self._collector.add(capture)
+        self.diagnostics.counters["captures"] += 1
         if complete is not None:
             self._publish(complete, rig)
         self._report()
