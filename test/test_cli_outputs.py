@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -344,7 +345,9 @@ def test_a_full_disk_is_one_line(tmp_path: Path, whole: Path) -> None:
         done = subprocess.run(
             [*STEREO_DEPTH, *arguments], capture_output=True, text=True, timeout=120, preexec_fn=limit_files
         )
-        refused((done.returncode, done.stdout, done.stderr), "free space on the disk")
+        # a slow machine shows progress before
+        lines = [line for line in done.stderr.splitlines(keepends=True) if not re.match(r"\w+: \d+ of \d+", line)]
+        refused((done.returncode, done.stdout, "".join(lines)), "free space on the disk")
         assert [path.name for path in tmp_path.iterdir()] == ["good.mcap"]
         assert (tmp_path / "good.mcap").read_text() == "good"
 

@@ -75,7 +75,7 @@ def in_order(captured: list[U8]) -> str:
 
 @pytest.mark.parametrize("noise", [0.0, 2.0, 4.0])
 def test_captures_are_told_apart_by_their_changes(noise: float) -> None:
-    """Before the sequence something else is shown; two patterns are the same, which is no change."""
+    """Before the sequence something else is shown; two patterns are the same, which does not count as a change."""
     collector = ChangingPatterns(COUNT, 1, lambda image: image, in_order)
     stream = images(3, 2, 0, 1, 2, 3, 0, each=3, noise=noise)
     results = [collector.add(image) for image in stream]
@@ -94,7 +94,7 @@ def test_without_a_pause_every_capture_is_a_pattern() -> None:
     assert len(complete) == 1
 
 
-def test_why_there_is_no_sequence() -> None:
+def test_why_images_are_not_the_sequence() -> None:
     collector = ChangingPatterns(COUNT, 1, lambda image: image, in_order)
     assert not any(collector.add(image) is not None for image in images(0, 2, 1, 3, 0, 2, each=2))
     assert collector.seen == 6

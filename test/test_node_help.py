@@ -34,10 +34,11 @@ from stereo_depth_ros.nodes.replay.graph_ports import GraphPorts  # noqa: E402
 from stereo_depth_ros.nodes.replay.recorder import Recorder  # noqa: E402
 from stereo_depth_ros.nodes.replay_node import INTERFACE  # noqa: E402
 from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode  # noqa: E402
+from stereo_depth_ros.nodes.structured_light_node import StructuredLightNode  # noqa: E402
 
 NODES: tuple[type[StereoNode], ...] = (
     *(RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode, FeatureNode),
-    *(CalibrationMonitor, CalibrationNode),
+    *(CalibrationMonitor, CalibrationNode, StructuredLightNode),
 )
 INTERFACES = {node.interface.name: node.interface for node in NODES} | {INTERFACE.name: INTERFACE}
 OF_ROS = ("/rosout", "/parameter_events")

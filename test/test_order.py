@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import functools
-import os
 from pathlib import Path
 
 import cv2
@@ -37,7 +36,7 @@ def test_nothing_speaks_against_a_sequence_in_its_order(kind: str, seed: int) ->
     assert sequence_fault(sequence(kind), captured(kind, seed)) == ""
 
 
-def is_told(pattern: Pattern, other: Pattern) -> bool:
+def shows(pattern: Pattern, other: Pattern) -> bool:
     """The coarsest bits mirror the code as a whole; cells of the finest ones are as narrow as 4 px of the camera."""
     coarsest = (PROJECTOR[pattern.axis == "rows"] - 1).bit_length() - 2
     mirrored = pattern.role == other.role == "gray" and pattern.bit == other.bit >= coarsest
@@ -50,7 +49,7 @@ def test_exchanged_neighbors_are_found(kind: str) -> None:
     images, patterns = captured(kind), sequence(kind).patterns
     for number in range(len(images) - 1):
         exchanged = [*images[:number], images[number + 1], images[number], *images[number + 2 :]]
-        if is_told(patterns[number], patterns[number + 1]):
+        if shows(patterns[number], patterns[number + 1]):
             assert sequence_fault(sequence(kind), exchanged), (number, str(patterns[number]))
 
 
@@ -58,7 +57,7 @@ def test_exchanged_neighbors_are_found(kind: str) -> None:
 def test_an_image_in_place_of_another_is_found(kind: str) -> None:
     images, patterns = captured(kind), sequence(kind).patterns
     for number in range(1, len(images)):
-        if is_told(patterns[number - 1], patterns[number]):
+        if shows(patterns[number - 1], patterns[number]):
             doubled = [*images[:number], images[number - 1], *images[number + 1 :]]
             assert sequence_fault(sequence(kind), doubled), (number, str(patterns[number]))
 
@@ -79,16 +78,13 @@ def test_the_missing_and_the_doubled_image_are_named() -> None:
     assert sequence_fault(patterns, images[:5]) == f"5 images, the sequence has {count} patterns"
 
 
-def test_what_is_no_capture_of_the_sequence() -> None:
+def test_other_images_are_refused() -> None:
     images, patterns = captured("gray"), sequence("gray")
     black = [images[1]] * len(images)
     assert "the projector lights nothing" in sequence_fault(patterns, black)
     assert "have 2 sizes: 120x90, 240x180" in sequence_fault(patterns, [*images[:-1], cv2.resize(images[0], (120, 90))])
     assert "image 2 (black) is brighter than image 1 (white)" not in sequence_fault(patterns, images)
     assert "is brighter than image 1 (white)" in sequence_fault(patterns, [images[1], images[0], *images[2:]])
-
-
-DATA = Path(os.environ.get("STEREO_DATA", "missing"))
 
 
 def gray(axis: str, bits: int, *, inverse: bool = True, cell_px: int = 1) -> list[Pattern]:
@@ -127,11 +123,11 @@ REAL = {
 }
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="STEREO_DATA is not set")
+@pytest.mark.real_data
 @pytest.mark.parametrize("name", REAL)
-def test_real_captures(name: str) -> None:
+def test_real_captures(name: str, stereo_data: Path) -> None:
     folder, names, patterns = REAL[name]
-    images = [np.asarray(cv2.imread(str(path), 0), np.uint8) for path in sorted((DATA / folder).glob(names))]
+    images = [np.asarray(cv2.imread(str(path), 0), np.uint8) for path in sorted((stereo_data / folder).glob(names))]
     own = PatternSequence((4096, 4096), tuple(patterns))
     assert sequence_fault(own, images) == ""
     exchanged = [*images[:4], images[6], images[5], images[4], *images[7:]]

@@ -77,7 +77,7 @@ def evaluate(
     The disparity range of a scene is the smallest multiple of 16 (at least 32) above its largest true disparity, the
     same for every matcher, unless it is set by --param disparity_range:=...
 
-    In a bag, a matcher of several pairs (temporal_window) matches each pair together with those before it.
+    Matchers of several pairs (temporal_window) must have those before each pair, as in a bag.
 
     A median signed error that is large against the spread of the errors is named: the disparities are shifted.
 

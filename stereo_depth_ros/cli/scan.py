@@ -67,7 +67,7 @@ def scan(
     ] = 1,
     param: Params = None,
     preview: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw the image and its depth, of the first scan.")
+        Path | None, typer.Option(metavar="FILE.png", help="Write the image and the depth of the first scan as a PNG.")
     ] = None,
     json_file: Json = None,
     overwrite: Overwrite = False,

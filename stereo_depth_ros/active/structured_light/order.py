@@ -94,7 +94,7 @@ class _Capture:
         return next((text for text in self._faults() if text), "")
 
     def _faults(self) -> list[str]:
-        checks = [self._brightness()]
+        checks = [self._white_and_black()]
         for axis in self._sequence.axes:
             if checks[-1]:
                 break
@@ -106,7 +106,7 @@ class _Capture:
             checks += [self._sinusoids(axis, phase, lit)] if phase else []
         return checks
 
-    def _brightness(self) -> str:
+    def _white_and_black(self) -> str:
         """White is the brightest image, black the darkest but for that of the ambient light."""
         means = [float(lines.mean()) for lines in self._lines["columns"]]
         used = [n for n, pattern in enumerate(self._patterns) if pattern.role not in ("unused", "ambient")]
