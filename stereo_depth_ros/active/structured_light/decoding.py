@@ -8,105 +8,166 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stereo_depth_ros.active.structured_light.patterns import Pattern, PatternSequence
+from stereo_depth_ros.active.structured_light.gray_code import GrayBits, decode_gray
+from stereo_depth_ros.active.structured_light.noise import noise_levels
+from stereo_depth_ros.active.structured_light.outliers import mark_outliers
+from stereo_depth_ros.active.structured_light.patterns import PatternSequence
+from stereo_depth_ros.active.structured_light.phase import (
+    Wave,
+    compensate,
+    unwrap_by_code,
+    unwrap_by_periods,
+    wave_of_images,
+)
 from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
-from stereo_depth_ros.core.errors import ImageError
-from stereo_depth_ros.core.types import F32, F64, U8, Reason
+from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.types import F32, U8, Reason
 
-__all__ = ["decode"]
+__all__ = ["check_sequence", "decode"]
 
-_LEAST_LEVELS = 10
-_SHADOW = np.uint8(Reason.SHADOW)
+_OUTSIDE_PX = 0.5  # a coordinate may be beyond the first and last pixel
 
 
 def decode(sequence: PatternSequence, images: Sequence[U8]) -> ProjectorMap:
-    """The projector pixel that lights each pixel of a camera.
+    """The projector pixel that lights each pixel of a camera, raw or rectified.
+
+    Gray codes are read by :func:`~stereo_depth_ros.active.structured_light.gray_code.decode_gray`, phases by the
+    functions of :mod:`~stereo_depth_ros.active.structured_light.phase`. Where a sequence has both, the Gray code gives
+    the period and the phase the place in it.
 
     Args:
         sequence: what the images show.
-        images: uint8 (H, W), one for each pattern, in this order.
+        images: uint8 (H, W), gray, one for each pattern, in this order.
 
     Raises:
-        ImageError: another number of images, or other shapes.
+        ImageError: another number of images, other shapes, or not gray.
+        ConfigError: a sequence that cannot be decoded, see :func:`check_sequence`.
     """
+    check_sequence(sequence)
+    stack = _stacked(sequence, images)
+    noise = max(noise_levels(stack[number]) for number in _evenly_lit(sequence))
+    reasons = np.zeros(stack.shape[1:], np.uint8)
+    found = {axis: _decode_axis(sequence, axis, stack, noise, reasons) for axis in sequence.axes}
+    invalid = reasons != 0
+    sigma_of_both = np.zeros(stack.shape[1:], np.float32)
+    for coordinate, sigma_px in found.values():
+        coordinate[invalid] = np.nan
+        sigma_of_both = np.maximum(sigma_of_both, sigma_px)
+    sigma_of_both[invalid] = np.nan
+    columns, rows = (found[axis][0] if axis in found else None for axis in ("columns", "rows"))
+    return ProjectorMap(sequence.size, columns, rows, sigma_of_both, reasons)
+
+
+def check_sequence(sequence: PatternSequence) -> None:
+    """Check that a sequence can be decoded.
+
+    Raises:
+        ConfigError: nothing is coded, a bit of a Gray code is missing, a bit has neither its inverse nor white and
+            black, bits differ in cells or offsets, or the phases of an axis have fewer than two periods and no Gray
+            code.
+    """
+    if not sequence.axes:
+        raise ConfigError(
+            "no image has the role gray or phase", limit=("gray", "phase"), remedy="describe the coded images"
+        )
+    for axis in sequence.axes:
+        _check_gray(sequence, axis)
+        periods = {sequence.patterns[number].period_px for number in sequence.coded("phase", axis)}
+        longest = max(periods, default=0.0)
+        if len(periods) == 1 and longest < sequence.length_px(axis) and not sequence.coded("gray", axis):
+            raise ConfigError(
+                f"the {axis} have phases of one period, {longest:g} px, and no Gray code: the period of a pixel "
+                f"remains unknown on {sequence.length_px(axis)} px",
+                value=longest,
+                limit=sequence.length_px(axis),
+                remedy="project another period or a Gray code as well",
+                settings=("kind", "periods_px"),
+            )
+
+
+def _check_gray(sequence: PatternSequence, axis: str) -> None:
+    patterns = [sequence.patterns[number] for number in sequence.coded("gray", axis)]
+    if not patterns:
+        return
+    if len({(pattern.cell_px, pattern.offset_px) for pattern in patterns}) > 1:
+        raise ConfigError(
+            f"the bits of the {axis} have different cell_px or offset_px", remedy="write the same for all of them"
+        )
+    bits = {pattern.bit for pattern in patterns}
+    first = patterns[0]
+    codes = (sequence.length_px(axis) + first.offset_px - 1) // first.cell_px
+    needed = range(min(bits), max(max(bits) + 1, codes.bit_length()))
+    if missing := sorted(set(needed) - bits):
+        raise ConfigError(
+            f"bit {missing[-1]} of the Gray code of {axis} is missing, {sequence.length_px(axis)} px have bits "
+            f"{needed[0]} to {needed[-1]}",
+            value=missing,
+            limit=tuple(needed),
+            remedy="describe the image of each of them",
+        )
+    alone = bits - {p.bit for p in patterns if p.inverse} | bits - {p.bit for p in patterns if not p.inverse}
+    if alone and (sequence.index("white") is None or sequence.index("black") is None):
+        raise ConfigError(
+            f"bit {max(alone)} of the Gray code of {axis} has no inverse, and white or black is missing",
+            value=sorted(alone),
+            remedy="capture white and black, or each bit and its inverse",
+        )
+
+
+def _stacked(sequence: PatternSequence, images: Sequence[U8]) -> U8:
     if len(images) != len(sequence):
         raise ImageError(
-            f"{len(images)} images, the sequence has {len(sequence)}",
+            f"there are {len(images)} images, the sequence has {len(sequence)}",
             value=len(images),
             limit=len(sequence),
-            remedy="capture all of them, or correct the manifest",
+            remedy="capture one for each pattern, or correct the manifest",
         )
-    stack = np.stack(images).astype(np.float32)
-    sigma_px = np.zeros(stack.shape[1:], np.float32)
-    reasons = np.zeros(stack.shape[1:], np.uint8)
-    coordinates = {axis: _axis(sequence, axis, stack, sigma_px, reasons) for axis in sequence.axes}
-    for coordinate in coordinates.values():
-        coordinate[reasons != 0] = np.nan
-    sigma_px[reasons != 0] = np.nan
-    return ProjectorMap(sequence.size, coordinates.get("columns"), coordinates.get("rows"), sigma_px, reasons)
+    for number, image in enumerate(images, start=1):
+        if image.dtype != np.uint8 or image.ndim != 2 or image.shape != images[0].shape or not image.size:
+            raise ImageError(
+                f"is {image.dtype} of shape {image.shape}, the first one {images[0].dtype} of {images[0].shape}; all "
+                "must be uint8 (H, W) of one size",
+                subject=f"image {number}",
+                value=(str(image.dtype), image.shape),
+                limit=("uint8", images[0].shape),
+                remedy="convert it to gray, and capture all of them with the same camera settings",
+            )
+    return np.stack(images)
 
 
-def _axis(sequence: PatternSequence, axis: str, stack: F32, sigma_px: F32, reasons: U8) -> F32:
-    gray = sequence.coded("gray", axis)
-    coarse, cell_px = _gray(sequence, gray, stack, reasons) if gray else (None, 0.0)
+def _evenly_lit(sequence: PatternSequence) -> list[int]:
+    """Images of which the noise is estimated: white and black, or else the longest period."""
+    even = [number for role in ("white", "black") if (number := sequence.index(role)) is not None]
+    coded = [n for axis in sequence.axes for role in ("phase", "gray") for n in sequence.coded(role, axis)]
+    return even or [max(coded, key=lambda n: (sequence.patterns[n].period_px, sequence.patterns[n].bit))]
+
+
+def _decode_axis(sequence: PatternSequence, axis: str, stack: U8, noise: float, reasons: U8) -> tuple[F32, F32]:
+    """Coordinate and standard deviation of one axis; reasons are added, coordinates without are not yet removed."""
+    length_px = sequence.length_px(axis)
+    gray, waves = sequence.coded("gray", axis), _waves(sequence, axis, stack, noise, reasons)
+    if gray:
+        patterns = {number: sequence.patterns[number] for number in gray}
+        bits = GrayBits.of_patterns(patterns, sequence.index("white"), sequence.index("black"), length_px)
+        found, sigma_px = decode_gray(stack, bits, noise, reasons)
+        for wave in sorted(waves, key=lambda wave: -wave.period_px):
+            found, sigma_px = unwrap_by_code(wave, found, sigma_px, reasons)
+    else:
+        found, sigma_px = unwrap_by_periods(waves, length_px, reasons)
+    if waves:
+        outside = (found < -_OUTSIDE_PX - 3 * sigma_px) | (found > length_px - 1 + _OUTSIDE_PX + 3 * sigma_px)
+        reasons[outside] |= np.uint8(Reason.UNIQUENESS)
+        mark_outliers(found, 0.5 * min(wave.period_px for wave in waves), reasons)
+    return found, sigma_px
+
+
+def _waves(sequence: PatternSequence, axis: str, stack: U8, noise: float, reasons: U8) -> list[Wave]:
     groups: dict[float, list[int]] = {}
     for number in sequence.coded("phase", axis):
         groups.setdefault(sequence.patterns[number].period_px, []).append(number)
-    turns = {period: _phase(sequence, numbers, stack, reasons) for period, numbers in sorted(groups.items())}
-    if not turns:
-        assert coarse is not None
-        sigma_px[:] = np.maximum(sigma_px, cell_px / np.sqrt(12))
-        outside = (coarse < -0.5) | (coarse > sequence.length_px(axis) - 0.5)
-        reasons[outside] |= np.uint8(Reason.UNIQUENESS)
-        return coarse.astype(np.float32)
-    sigma_px[:] = np.maximum(sigma_px, min(turns) / 100)
-    if coarse is None:
-        coarse = _unwrapped(turns, sequence.length_px(axis))
-    period, turn = next(iter(turns.items()))
-    found: F32 = (period * (turn + np.round(coarse / period - turn))).astype(np.float32)
-    return found
-
-
-def _gray(sequence: PatternSequence, numbers: list[int], stack: F32, reasons: U8) -> tuple[F64, float]:
-    white, black = sequence.index("white"), sequence.index("black")
-    direct = {sequence.patterns[n].bit: n for n in numbers if not sequence.patterns[n].inverse}
-    inverse = {sequence.patterns[n].bit: n for n in numbers if sequence.patterns[n].inverse}
-    value = np.zeros(stack.shape[1:], np.int64)
-    first: Pattern = sequence.patterns[numbers[0]]
-    for bit in sorted(direct, reverse=True):
-        lit = stack[direct[bit]]
-        if bit in inverse:
-            unlit = stack[inverse[bit]]
-        else:
-            assert white is not None and black is not None
-            unlit = stack[white] + stack[black] - lit
-        value = 2 * value + ((lit > unlit) ^ (value & 1 == 1))
-    if white is not None and black is not None:
-        reasons[stack[white] - stack[black] < _LEAST_LEVELS] |= _SHADOW
-    cell_px = first.cell_px * 2 ** min(direct)
-    return (value + 0.5) * cell_px - 0.5 - first.offset_px, float(cell_px)
-
-
-def _phase(sequence: PatternSequence, numbers: list[int], stack: F32, reasons: U8) -> F64:
-    shifts = np.deg2rad([sequence.patterns[n].shift_deg for n in numbers])
-    design = np.stack((np.ones_like(shifts), np.cos(shifts), np.sin(shifts)), axis=1)
-    _, cosine, sine = np.tensordot(np.linalg.pinv(design), stack[numbers], axes=1)
-    reasons[np.hypot(cosine, sine) < _LEAST_LEVELS / 2] |= _SHADOW
-    turn: F64 = np.arctan2(sine, cosine) / (2 * np.pi)
-    return turn
-
-
-def _unwrapped(turns: dict[float, F64], length_px: int) -> F64:
-    """The coordinate that all periods agree best on."""
-    (first, turn), *others = turns.items()
-    best = np.zeros_like(turn)
-    best_cost = np.full_like(turn, np.inf)
-    for k in range(-1, int(length_px / first) + 2):
-        coordinate = first * (turn + k)
-        cost = np.zeros_like(turn)
-        for period, other in others:
-            rest = coordinate / period - other
-            cost += (rest - np.round(rest)) ** 2
-        better = (cost < best_cost) & (coordinate > -first / 2) & (coordinate < length_px + first / 2)
-        best[better], best_cost[better] = coordinate[better], cost[better]
-    return best
+    waves = [
+        wave_of_images(stack, numbers, period, [sequence.patterns[n].shift_deg for n in numbers], noise, reasons)
+        for period, numbers in groups.items()
+    ]
+    compensate(waves, sequence.length_px(axis))
+    return waves

@@ -68,6 +68,13 @@ class Pattern:
             _check_whole("bit", self.bit, 0, MAX_BITS - 1)
             _check_whole("cell_px", self.cell_px, 1, MAX_SIZE_PX)
             _check_whole("offset_px", self.offset_px, 0, 2**MAX_BITS)
+            if not isinstance(self.inverse, bool):
+                raise ConfigError(
+                    f"inverse = {quoted(self.inverse)} is not true or false",
+                    value=self.inverse,
+                    limit=(True, False),
+                    remedy="write one of them, without quotes",
+                )
         if self.role == "phase":
             _check_number("period_px", self.period_px, _FINEST_PERIOD_PX, 2.0 * MAX_SIZE_PX)
             _check_number("shift_deg", self.shift_deg, -3600.0, 3600.0)
