@@ -135,6 +135,27 @@ def test_later_passes_label_what_breaks_the_order() -> None:
     assert runs[0, 20:24].tolist() == [4] * 4
 
 
+def test_an_edge_that_two_runs_could_continue_has_no_label() -> None:
+    """The change after a is the one at b: the first edge behind the step may be either of them."""
+    changes = STRIPES.changes
+
+    def same(i: int, j: int) -> bool:
+        return bool((changes[i] == changes[j]).all())
+
+    found = 0
+    for a, b in itertools.product(range(6, 20), range(28, 50)):
+        if same(a + 1, b) and not same(a + 2, b + 1) and not same(a, b - 1):
+            seen = [*range(a - 6, a + 1), *range(b, b + 7)]
+            labels, runs = label_rows(edges_of([np.arange(14) * 7.0], changes[seen]), STRIPES)
+            np.testing.assert_array_equal(labels[0], [*seen[:7], -1, *seen[8:]])
+            assert runs[0].tolist() == [7] * 14
+            found += 1
+    assert found > 3
+    missing = [*range(20), *range(22, 40)]  # on a smooth surface nothing is doubtful
+    labels, _ = label_rows(edges_of([np.array(missing) * 7.0], changes[missing]), STRIPES)
+    np.testing.assert_array_equal(labels[0], missing)
+
+
 def test_colors_that_mix_are_separated() -> None:
     M = np.array([[1.0, 0.1, 0.0], [0.35, 0.9, 0.3], [0.05, 0.45, 1.0]])
     number = len(STRIPES.changes)
@@ -189,7 +210,7 @@ def test_a_rendered_scene(optics: Optics) -> None:
     assert found.size == PROJECTOR and found.row_px is None and found.column_px is not None
     np.testing.assert_array_equal(found.reasons == 0, np.isfinite(found.column_px))
     np.testing.assert_array_equal(found.reasons == 0, np.isfinite(found.sigma_px))
-    for surface, density, limit_px in ((WALL, 0.8, 1.0), (BALL, 0.75, 1.0), (POLE, 0.5, 4.0)):
+    for surface, density, limit_px in ((WALL, 0.8, 1.0), (BALL, 0.7, 1.0), (POLE, 0.5, 4.0)):
         off = np.abs(errors_px(found, truth, surface))
         assert off.size >= density * np.count_nonzero(truth.lit & (truth.surface == surface)), surface
         assert np.mean(off < limit_px) >= 0.98, surface  # half a stripe where the outline of the pole is an edge
@@ -224,7 +245,7 @@ def test_a_projector_upside_down_and_horizontal_stripes() -> None:
     upright = one_shot(captured()[0], STRIPES)
     turned = one_shot(captured(turned=True)[0], STRIPES)
     both = (upright.reasons == 0) & (turned.reasons == 0)
-    assert both.mean() > 0.6 and upright.column_px is not None and turned.column_px is not None
+    assert both.mean() > 0.55 and upright.column_px is not None and turned.column_px is not None
     total = upright.column_px[both] + turned.column_px[both]
     assert np.median(np.abs(total - (PROJECTOR[0] - 1))) < 0.2
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from stereo_depth_ros.active.one_shot.consistency import vote
 from stereo_depth_ros.active.one_shot.edges import I32, ColorEdges, contrast_limit, find_edges, smooth_columns
-from stereo_depth_ros.active.one_shot.labels import label_rows
+from stereo_depth_ros.active.one_shot.labels import LARGEST_RATIO, label_rows
 from stereo_depth_ros.active.one_shot.mixing import color_mixing, separate_colors
 from stereo_depth_ros.active.one_shot.positions import remove_displacements
 from stereo_depth_ros.active.one_shot.stripes import StripePattern
@@ -33,8 +33,8 @@ __all__ = ["StripeEdges", "decode_edges", "one_shot"]
 
 _SCALES_PX = tuple(0.7 * 2 ** (k / 2) for k in range(12))  # stripes of 3 to 130 px
 _PROBED_ROWS = 24
+_ROWS_OF_MIXING = 64
 _MOST_BETWEEN = 1  # changes without an edge, or edges without a label, between two that are interpolated
-_LARGEST_RATIO = 1.8  # of the width of a stripe to that beside it
 _LARGEST_RATIO_ALONE = 2.5  # to the typical one
 _LEAST_LONG = 0.2  # of the edges in unique runs, in runs of twice the length; of a pattern that is not there below 0.01
 _FLAT_SIGMAS = 12.0  # pixels farther from every edge are on no stripe
@@ -150,8 +150,8 @@ def decode_edges(image: npt.NDArray[Any], pattern: StripePattern) -> StripeEdges
     sigma_px, turned = _best_scale(smooth, limit, pattern)
     seen = pattern.turned() if turned else pattern
     found, contrast = find_edges(smooth, sigma_px, limit)
-    labels, runs = label_rows(found, seen)
-    found = separate_colors(found, color_mixing(found, labels, runs, seen))
+    some = found.some_rows(max(1, found.counts.size // _ROWS_OF_MIXING))
+    found = separate_colors(found, color_mixing(some, *label_rows(some, seen), seen))
     labels, runs = label_rows(found, seen)
     if np.count_nonzero(runs >= 2 * pattern.window) < _LEAST_LONG * np.count_nonzero(runs >= pattern.window):
         labels[:] = -1  # another pattern, of which some short sequences are in this one too
@@ -269,7 +269,7 @@ def _is_smooth(steps: F64, i: int, count: int, typical: float) -> bool:
     for k in (i - 1, i + 1):
         if 0 <= k < count and steps[k] > 0:
             alone = False
-            if 1.0 / _LARGEST_RATIO < steps[i] / steps[k] < _LARGEST_RATIO:
+            if 1.0 / LARGEST_RATIO < steps[i] / steps[k] < LARGEST_RATIO:
                 return True
     return alone and 1.0 / _LARGEST_RATIO_ALONE < steps[i] / typical < _LARGEST_RATIO_ALONE
 

@@ -48,6 +48,10 @@ class ColorEdges:
     changes: F32
     counts: I32
 
+    def some_rows(self, step: int) -> ColorEdges:
+        """Every ``step``-th row."""
+        return ColorEdges(self.x_px[::step].copy(), self.changes[::step].copy(), self.counts[::step].copy())
+
 
 def contrast_limit(image: U8) -> float:
     """The least contrast of stripes, gray levels: six standard deviations of the noise, at least 8.
@@ -80,17 +84,15 @@ def find_edges(smooth: F32, sigma_px: float, limit: float) -> tuple[ColorEdges, 
     height, width = smooth.shape[:2]
     kernel = cv2.getGaussianKernel(2 * math.ceil(3.0 * sigma_px) + 1, sigma_px)
     rows = np.ascontiguousarray(cv2.sepFilter2D(smooth, cv2.CV_32F, kernel, np.ones(1)))
-    edges = ColorEdges(
-        np.full((height, width // 2 + 1), np.nan, np.float32),
-        np.zeros((height, width // 2 + 1, 3), np.float32),
-        np.zeros(height, np.int32),
-    )
+    x_px = np.full((height, width // 2 + 1), np.nan, np.float32)
+    changes = np.zeros((height, width // 2 + 1, 3), np.float32)
+    counts = np.zeros(height, np.int32)
     contrast = np.empty((height, width), np.float32)
     block = max(1, round(_BLOCK_SIGMAS * sigma_px))
     reach = max(1, round(_WINDOW_SIGMAS / _BLOCK_SIGMAS))
-    found = (edges.x_px, edges.changes, edges.counts)
-    run_bands(_find, height, rows, sigma_px, limit, block, reach, *found, contrast, min_rows=8)
-    return edges, contrast
+    run_bands(_find, height, rows, sigma_px, limit, block, reach, x_px, changes, counts, contrast, min_rows=8)
+    most = int(counts.max())
+    return ColorEdges(x_px[:, :most].copy(), changes[:, :most].copy(), counts), contrast
 
 
 @compiled(

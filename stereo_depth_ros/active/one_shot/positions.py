@@ -25,7 +25,7 @@ _Index = npt.NDArray[np.intp]
 
 _ROUNDS = 3
 _OUTLIER_SIGMAS = 3.0
-_MOST_TRIPLES = 200_000
+_MOST_TRIPLES = 40_000
 _LEAST_TRIPLES = 30
 _VARIANCE = 1.5  # of x[i] - (x[i - 1] + x[i + 1]) / 2, for edges of variance 1
 
@@ -63,7 +63,7 @@ def remove_displacements(x_px: F32, labels: I32, pattern: StripePattern) -> tupl
 
 
 def _triples(labels: I32) -> tuple[_Index, _Index, _Index, _Index]:
-    """Row and three columns of labels that follow each other, at most 200000 of them."""
+    """Row and three columns of labels that follow each other, at most some 40000 of them."""
     row, column = np.nonzero(labels >= 0)
     number = labels[row, column]
     follows = (row[1:] == row[:-1]) & (number[1:] == number[:-1] + 1)
