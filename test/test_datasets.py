@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,7 @@ from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.camera_files.kitti import rig_from_calibration
 from stereo_depth_ros.core.errors import BagError, CalibrationError, ConfigError
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import F32
+from stereo_depth_ros.core.types import F32, StereoPair
 from stereo_depth_ros.datasets.dataset import StereoDataset
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
@@ -26,6 +27,7 @@ from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
 from stereo_depth_ros.datasets.to_bag import convert_dataset
 from stereo_depth_ros.messages.disparity import published_disparity
 from stereo_depth_ros.messages.image import decode
+from stereo_depth_ros.stages.rectification import Rectifier
 
 WIDTH, HEIGHT = 44, 30
 
@@ -434,6 +436,44 @@ def test_images_side_by_side(tmp_path: Path) -> None:
     image(tmp_path / "2.png")
     with pytest.raises(CalibrationError, match=r"2\.png: the image is \d+x\d+, its camera info is for"):
         ImagesDataset(tmp_path, side_by_side=True)
+
+
+def make_cropped(folder: Path, width: int = WIDTH - 8) -> Path:
+    """Right images narrower and higher than the left ones, each with its calibration."""
+    folder.mkdir(exist_ok=True)
+    rig = StereoRig.from_rectified(50.5, 51.5, -20.25, 23.5, 14.0, 0.2, (WIDTH, HEIGHT))
+    K = rig.right.K - np.array([[0, 0, 0], [0, 0, 2], [0, 0, 0]])  # its rows are 2 px above those of the left camera
+    right = replace(rig.right, width=WIDTH - 8, height=HEIGHT + 3, K=K)
+    write_camera(folder / "left.yaml", rig.left, "left")
+    write_camera(folder / "right.yaml", right, "right")
+    for number in (4, 10):
+        image(folder / f"L_{number}.png", value=number)
+        image(folder / f"R_{number}.png", (width, HEIGHT + 3), value=100 + number)
+    return folder
+
+
+def test_images_of_two_sizes_are_extended_to_one(tmp_path: Path) -> None:
+    dataset = ImagesDataset(make_cropped(tmp_path))
+    assert levels(dataset) == [(4, 104), (10, 110)]
+    assert (dataset.rig.width, dataset.rig.height) == (WIDTH, HEIGHT + 3)
+    assert dataset.rig.doffs_px == pytest.approx(-43.75)  # pixels keep their coordinates
+    _, frame = dataset
+    for pixels, size, value in ((frame.left.pixels, (WIDTH, HEIGHT), 10), (frame.right.pixels, (WIDTH - 8, 33), 110)):
+        expected = np.zeros((HEIGHT + 3, WIDTH), np.uint8)
+        expected[: size[1], : size[0]] = value
+        np.testing.assert_array_equal(pixels, expected)
+    rectified = Rectifier(dataset.rig).rectify(StereoPair(frame.left, frame.right))
+    np.testing.assert_array_equal(rectified.right[2:], frame.right.pixels[:-2])
+    assert convert_dataset(dataset, tmp_path / "out.mcap") == 2
+
+
+def test_images_of_two_sizes_must_be_those_of_their_calibrations(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match=r"right\.yaml: the image is 35x33, its camera info is for 36x33: use"):
+        ImagesDataset(make_cropped(tmp_path / "a", WIDTH - 9))
+    folder = make_cropped(tmp_path / "b")
+    image(folder / "R_10.png", (WIDTH - 7, HEIGHT + 3))
+    with pytest.raises(CalibrationError, match=r"R_10\.png: the image is 37x33, its camera info is for 44x33"):
+        list(ImagesDataset(folder))
 
 
 def levels(dataset: StereoDataset) -> list[tuple[int, int]]:

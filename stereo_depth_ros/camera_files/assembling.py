@@ -19,12 +19,14 @@ from stereo_depth_ros.core.rig import StereoRig
 __all__ = ["no_size", "rig_of"]
 
 
-def rig_of(files: Sequence[StoredFile], size: Size | None) -> StereoRig:
+def rig_of(files: Sequence[StoredFile], size: Size | None, sizes: tuple[Size, Size] | None = None) -> StereoRig:
     """The rig of the files, rectified by :meth:`StereoRig.from_calibration` where they hold no rectification.
 
     Args:
         files: in the order left, right.
         size: of the images where it is known: for files that do not state it, and for cameras that scale.
+        sizes: of the left and of the right images where they differ. Both cameras become as wide and as high as the
+            larger one, at the right and at the bottom.
 
     Raises:
         CalibrationError: a camera or its pose is missing, or they are not those of a stereo rig.
@@ -51,7 +53,10 @@ def rig_of(files: Sequence[StoredFile], size: Size | None) -> StereoRig:
         raise CalibrationError(
             f"{left_file.format}, intrinsics only", subject=left_file.source, remedy="give the file of R and T too"
         )
-    cameras = _sized(left_file, left, size, labels[0]), _sized(right_file, right, size, labels[1])
+    own = sizes or (size, size)
+    cameras = _sized(left_file, left, own[0], labels[0]), _sized(right_file, right, own[1], labels[1])
+    if sizes is not None:
+        cameras = _extended(cameras, sizes, (labels[0], labels[1]))
     if all(camera.P is not None and camera.R is not None for camera in cameras):
         return StereoRig(_model(cameras[0]), _model(cameras[1]), (labels[0], labels[1]))
     assert pose is not None  # there is a pose where there is no rectification
@@ -100,6 +105,24 @@ def _sized(file: StoredFile, camera: StoredCamera, size: Size | None, label: str
     if camera.size is None:
         return replace(camera, size=size)
     return _scaled(camera, size) if file.scales and size is not None and size != camera.size else camera
+
+
+def _extended(
+    cameras: tuple[StoredCamera, StoredCamera], sizes: tuple[Size, Size], labels: tuple[str, str]
+) -> tuple[StoredCamera, StoredCamera]:
+    """Cameras of one size: that of the larger one; the pixels keep their coordinates."""
+    for camera, size, label in zip(cameras, sizes, labels, strict=True):
+        if camera.size != size and camera.size is not None:
+            (width, height), own = size, camera.size
+            raise CalibrationError(
+                f"the image is {width}x{height}, its camera info is for {own[0]}x{own[1]}",
+                subject=label,
+                value=size,
+                limit=own,
+                remedy="use the calibration of these images",
+            )
+    common = (max(size[0] for size in sizes), max(size[1] for size in sizes))
+    return replace(cameras[0], size=common), replace(cameras[1], size=common)
 
 
 def _scaled(camera: StoredCamera, size: Size) -> StoredCamera:

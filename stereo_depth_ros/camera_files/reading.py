@@ -33,7 +33,9 @@ _FOLDERS = (
 _BESIDE = ("extrinsics.yaml", "extrinsics.yml")  # of cameras without a pose
 
 
-def read_rig_files(paths: Sequence[Path], size: Size | None = None) -> StereoRig:
+def read_rig_files(
+    paths: Sequence[Path], size: Size | None = None, sizes: tuple[Size, Size] | None = None
+) -> StereoRig:
     """The rig of calibration files, of any format in :data:`FORMATS`; its topics are the files.
 
     Args:
@@ -42,11 +44,12 @@ def read_rig_files(paths: Sequence[Path], size: Size | None = None) -> StereoRig
             folder.
         size: of the images, px, where it is known: for files that do not state it, and for cameras that publish
             smaller images than were calibrated (OAK).
+        sizes: of the left and of the right images where they differ, see :func:`rig_of`.
 
     Raises:
         CalibrationError: files that are not there, of no known format, or not those of a stereo rig.
     """
-    return rig_of([file for _, file in _read(paths)], size)
+    return rig_of([file for _, file in _read(paths)], size, sizes)
 
 
 def rig_file_paths(paths: Sequence[Path]) -> list[Path]:

@@ -120,7 +120,8 @@ def images(
     The calibration is that of left.yaml and right.yaml in DIR, or of other files. The images are in DIR/left and
     DIR/right, or named left*.png and right*.png. Two images form a pair if their names differ only in left and right,
     l and r, cam0 and cam1 or image_0 and image_1, and in leading zeros. Images without a partner are skipped with a
-    warning.
+    warning. Left and right images of different sizes, each with its calibration, are extended to one size with black at
+    the right and at the bottom.
 
     \b
     Example:

@@ -24,8 +24,10 @@ __all__ = [
     "IMAGE_SUFFIXES",
     "check_sizes",
     "checked_truth",
+    "extended",
     "framed",
     "image_frame",
+    "image_size",
     "list_images",
     "read_disparity_image",
     "read_frame",
@@ -127,6 +129,18 @@ def read_frame(path: Path, camera: CameraModel, stamp_ns: int = 0) -> Frame:
 def image_frame(pixels: U8, camera: CameraModel, stamp_ns: int = 0) -> Frame:
     """The pixels of :func:`read_image` as a frame of ``camera``, mono8 or bgr8."""
     return Frame(pixels, stamp_ns, camera.frame_id, "mono8" if pixels.ndim == 2 else "bgr8")
+
+
+def image_size(pixels: U8) -> tuple[int, int]:
+    """Width and height, px."""
+    return pixels.shape[1], pixels.shape[0]
+
+
+def extended(pixels: U8, camera: CameraModel) -> U8:
+    """The pixels with black at the right and at the bottom, in the size of a camera that is not smaller."""
+    height, width = pixels.shape[:2]
+    black = cv2.copyMakeBorder(pixels, 0, camera.height - height, 0, camera.width - width, cv2.BORDER_CONSTANT)
+    return np.asarray(black, np.uint8)
 
 
 def framed(rig: StereoRig) -> StereoRig:

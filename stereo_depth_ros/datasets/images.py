@@ -10,7 +10,7 @@ from pathlib import Path
 from stereo_depth_ros.camera_files.reading import read_rig_files, rig_file_paths
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.datasets.dataset import DatasetFrame
-from stereo_depth_ros.datasets.image_files import framed, image_frame, list_images, read_pair
+from stereo_depth_ros.datasets.image_files import extended, framed, image_frame, image_size, list_images, read_pair
 from stereo_depth_ros.datasets.image_pairs import ImagePairs, find_image_pairs
 
 __all__ = ["ImagesDataset"]
@@ -19,7 +19,10 @@ __all__ = ["ImagesDataset"]
 class ImagesDataset:
     """Images in left/ and right/, or left*.png and right*.png, paired by their names.
 
-    Without these, all names that :func:`find_image_pairs` knows. ``skipped`` counts the images without a partner,
+    Images of two sizes, such as rectified images cropped to an object, each with its calibration, are extended to one
+    size with black, at the right and at the bottom.
+
+    Without these names, all that :func:`find_image_pairs` knows. ``skipped`` counts the images without a partner,
     ``warnings`` names them.
 
     Args:
@@ -46,8 +49,9 @@ class ImagesDataset:
             )
         self._pairs, self.skipped, self.warnings = found.pairs, len(found.skipped), found.warnings
         self.files = [*rig_file_paths(files), *(path for pair in found.pairs for path in pair), *found.skipped]
-        height, width = read_pair(*self._pairs[0])[0].shape[:2]
-        self.rig = framed(read_rig_files(files, (width, height)))
+        left, right = (image_size(pixels) for pixels in read_pair(*self._pairs[0]))
+        self._sizes = None if left == right else (left, right)
+        self.rig = framed(read_rig_files(files, left, self._sizes))
         self._frame(*self._pairs[0])
 
     def __len__(self) -> int:
@@ -57,10 +61,12 @@ class ImagesDataset:
         return (self._frame(*pair) for pair in self._pairs)
 
     def _frame(self, left: Path, right: Path) -> DatasetFrame:
-        images = read_pair(left, right)
+        images = list(read_pair(left, right))
+        for side, size in enumerate(self._sizes or ()):
+            if image_size(images[side]) == size:
+                images[side] = extended(images[side], self.rig.left)
         for path, pixels in zip((left, right), images, strict=True):
-            height, width = pixels.shape[:2]
-            self.rig.check_image(width, height, str(path))
+            self.rig.check_image(*image_size(pixels), str(path))
         return DatasetFrame(image_frame(images[0], self.rig.left), image_frame(images[1], self.rig.right))
 
 

@@ -22,7 +22,8 @@ from stereo_depth_ros.matching.spacetime.correlation import STEPS_PER_PX
 __all__ = ["slant_rows"]
 
 UNKNOWNS = 6  # gain, offset, d0, dx, dy, dt; the latter four times the gain
-ITERATIONS = 4  # with all pairs
+ITERATIONS = 4  # with all pairs, at most
+CONVERGED_PX = 0.01  # fewer steps are needed where one is smaller
 DAMPING = 1e-3  # share of the diagonal that is added to it
 LARGEST_STEP_PX = 1.0
 STEEPEST = 1.0  # px per px: a surface that the other camera sees as a line
@@ -165,8 +166,11 @@ def _refine(left: U8, right: U8, y: int, x: int, half: int, slant: F64, A: F64, 
         if not _solve(A, v) or v[0] < LEAST_GAIN:
             return False
         slant[0] += min(max(v[2] / v[0], -LARGEST_STEP_PX), LARGEST_STEP_PX)
+        change = abs(v[2] / v[0]) + half * (abs(v[3]) + abs(v[4])) / v[0] + abs(v[5] / v[0]) * (pairs - 1) / 2
         for n in range(1, 4):
             slant[n] += v[2 + n] / v[0]
+        if change < CONVERGED_PX:  # at the corners of the window
+            full = ITERATIONS if begin == 0 else full
         if abs(slant[1]) > STEEPEST or abs(slant[2]) > STEEPEST or abs(slant[3]) > FASTEST:
             return False
     if abs(slant[0] - start) > 2 * LARGEST_STEP_PX:
