@@ -117,7 +117,7 @@ def test_points_behind_the_camera_are_out_of_range() -> None:
 def test_a_calibration_of_another_setup_is_named() -> None:
     rig, depth_m = rig_of(BESIDE), slanted(rig_of(BESIDE))
     moved = replace(BESIDE, rig=BESIDE.rig + 0.03 * np.identity(6)[0])
-    with pytest.raises(CalibrationError, match=r"the rows of 100 % of \d+ decoded pixels differ .* median by 9\.3 px"):
+    with pytest.raises(CalibrationError, match=r"the rows of 100 % of \d+ decoded pixels differ .* median by 7\.7 px"):
         disparity_from_projector(rig, seen(moved, rig, depth_m))
 
 
@@ -138,7 +138,7 @@ def test_rectification_keeps_what_both_have_in_view(place: str) -> None:
     rig, (camera, _) = rig_of(known), known.models
     assert rig.baseline_m == pytest.approx(np.linalg.norm(known.rig[3:]))
     area = common_area(rig)
-    assert area.width * area.height > 0.3 * rig.width * rig.height
+    assert area.width * area.height > 0.25 * rig.width * rig.height
     # every pixel of the camera that sees a lit point of the plane is in the rectified image
     y, x = np.indices((rig.height, rig.width)).reshape(2, -1).astype(np.float64)
     raw = np.column_stack((x, y))

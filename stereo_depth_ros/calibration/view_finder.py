@@ -22,7 +22,7 @@ from stereo_depth_ros.core.errors import CalibrationError, ConfigError
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.datasets.stereo_images import ImagePair, StereoImages
 
-__all__ = ["FoundViews", "find_views", "first_of"]
+__all__ = ["FoundViews", "detected_size", "find_views", "first_of"]
 
 _MOST = 30  # pairs that are named
 _SMALL_PX = 800  # width to which these are reduced
@@ -102,7 +102,7 @@ def find_views(
     found.skipped = [*images.unreadable, *sizes.odd()]
     _check_any(found, sizes)
     _leave_out(found, {pair.name for pair in sizes.odd_pairs()})
-    if len(found.views) < MIN_VIEWS and (other := _detected_size(board, board_of_size, without.images)):
+    if len(found.views) < MIN_VIEWS and (other := detected_size(board, board_of_size, without.images)):
         raise _other_size(found, board, *other, len(without.images))
     if not found.views:
         raise _no_views(found, board)
@@ -242,7 +242,7 @@ def _no_views(found: FoundViews, board: Board) -> CalibrationError:
     )
 
 
-def _detected_size(
+def detected_size(
     board: Board, board_of_size: Callable[[tuple[int, int]], Board], images: Sequence[U8]
 ) -> tuple[int, tuple[int, int]] | None:
     """Images and size of the best of the sizes that are easily confused: squares for corners, one off, swapped.

@@ -10,15 +10,15 @@ from typing import Annotated
 
 import typer
 
-from stereo_depth_ros.calibration.board_options import BOARDS, create_board, parse_board_size
-from stereo_depth_ros.calibration.boards import Board
+from stereo_depth_ros.calibration.board_options import parse_board_size
 from stereo_depth_ros.calibration.calibration_files import calibration_files, save_calibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_VIEWS
 from stereo_depth_ros.calibration.projection import MODELS, check_model
 from stereo_depth_ros.calibration.stereo_calibration import calibrate as calibrate_rig
 from stereo_depth_ros.calibration.view_finder import FoundViews, find_views, first_of
+from stereo_depth_ros.cli.boards import BoardKind, BoardSize, Dictionary, Marker, Spacing, Square, board_maker
 from stereo_depth_ros.cli.calibrate_tables import calibrate_tables, calibrate_values
-from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
+from stereo_depth_ros.cli.given import refuse_files
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import progress_bar, show, warn
 from stereo_depth_ros.core.errors import CalibrationError, OutputError
@@ -40,35 +40,19 @@ def calibrate(
     place: Annotated[
         Path, typer.Argument(metavar="BAG|DIR", help="Read this raw stereo bag, or this folder of images.")
     ],
-    size: Annotated[str, typer.Option(metavar="9x6", help="Set the columns x rows of inner corners, squares or tags.")],
-    square: Annotated[
-        float, typer.Option(metavar="METERS", help="Set the side of a square, or of a tag of an aprilgrid.")
-    ],
+    size: BoardSize,
+    square: Square,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Write the files to this folder.")],
-    board: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME", help=f"Look for this board: {', '.join(BOARDS)}.", autocompletion=lambda: [*BOARDS]
-        ),
-    ] = "chessboard",
+    board: BoardKind = "chessboard",
     model: Annotated[
         str,
         typer.Option(
             metavar="NAME", help=f"Use this distortion model: {', '.join(MODELS)}.", autocompletion=lambda: [*MODELS]
         ),
     ] = "plumb_bob",
-    marker: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METERS", help="Set the side of a marker of a ChArUco board; the default is 3/4 of a square."
-        ),
-    ] = None,
-    dictionary: Annotated[
-        str, typer.Option(metavar="NAME", help="Set the dictionary of the markers of a ChArUco board.")
-    ] = "DICT_4X4_50",
-    spacing: Annotated[
-        float, typer.Option(metavar="RATIO", help="Set the gap between the tags of an aprilgrid, relative to a tag.")
-    ] = 0.3,
+    marker: Marker = None,
+    dictionary: Dictionary = "DICT_4X4_50",
+    spacing: Spacing = 0.3,
     left: Annotated[
         str | None,
         typer.Option(
@@ -109,18 +93,9 @@ def calibrate(
       stereo-depth calibrate drive.mcap --board aprilgrid --size 6x6 --square 0.088 --model equidistant -o calibration
       stereo-depth calibrate images --board charuco --size 8x11 --square 0.03 --marker 0.022 -o out --json -
     """
-    if board != "charuco":
-        refuse_ignored(
-            context, ("marker", "dictionary"), f"with --board {board}", "leave it out, or add --board charuco"
-        )
-    if board != "aprilgrid":
-        refuse_ignored(context, ["spacing"], f"with --board {board}", "leave it out, or add --board aprilgrid")
+    board_of_size = board_maker(context, board, square, marker, dictionary, spacing)
     refuse_files("--output", output)
     counts = parse_board_size(size)
-
-    def board_of_size(counts: tuple[int, int]) -> Board:
-        return create_board(board, counts, square, marker_m=marker, dictionary=dictionary, spacing=spacing)
-
     check_model(model)
     sought = board_of_size(counts)
     if output.exists() and not output.is_dir():

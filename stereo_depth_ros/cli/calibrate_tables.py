@@ -12,7 +12,7 @@ from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.view_finder import FoundViews
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 
-__all__ = ["calibrate_tables", "calibrate_values"]
+__all__ = ["calibrate_tables", "calibrate_values", "cameras_table", "views_table"]
 
 
 def calibrate_values(result: StereoCalibration, found: FoundViews, output: Path) -> dict[str, Any]:
@@ -22,8 +22,8 @@ def calibrate_values(result: StereoCalibration, found: FoundViews, output: Path)
 
 
 def calibrate_tables(result: StereoCalibration, found: FoundViews, output: Path) -> Iterator[TextTable]:
-    yield _cameras_table(result)
-    yield _views_table(result)
+    yield cameras_table(result)
+    yield views_table(result)
     facts = facts_table()
     counts = f"{found.pairs} examined, {len(result.views)} used, {len(result.dropped)} dropped"
     facts.add_row("pairs", counts + (f", {len(found.skipped)} skipped" if found.skipped else ""))
@@ -43,17 +43,19 @@ def calibrate_tables(result: StereoCalibration, found: FoundViews, output: Path)
     yield facts
 
 
-def _cameras_table(result: StereoCalibration) -> TextTable:
+def cameras_table(result: StereoCalibration, sides: tuple[str, str] = ("left", "right")) -> TextTable:
+    """Intrinsics of both cameras, with their standard deviations."""
     table = plain_table("", "fx px:r", "fy px:r", "cx px:r", "cy px:r", "rms px:r")
-    for side, camera in (("left", result.left), ("right", result.right)):
+    for side, camera in zip(sides, (result.left, result.right), strict=True):
         values = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
         cells = [f"{value:.2f} ± {sigma:.2f}" for value, sigma in zip(values, camera.sigmas[:4], strict=True)]
         table.add_row(side, *cells, f"{camera.rms_px:.3f}")
     return table
 
 
-def _views_table(result: StereoCalibration) -> TextTable:
-    table = plain_table("view", "rms left px:r", "rms right px:r", "row error px:r")
+def views_table(result: StereoCalibration, sides: tuple[str, str] = ("left", "right"), name: str = "view") -> TextTable:
+    """Errors of each view."""
+    table = plain_table(name, *(f"rms {side} px:r" for side in sides), "row error px:r")
     for view in result.views:
         table.add_row(view.name, f"{view.rms_left:.3f}", f"{view.rms_right:.3f}", f"{view.rms_rows:.3f}")
     return table

@@ -19,20 +19,30 @@ _PANEL: Color = (48, 42, 38)
 _LEFT, _RIGHT = (232, 170, 90), (90, 170, 250)  # BGR; apart in lightness and for the color-blind
 
 
-def coverage_plot(calibration: StereoCalibration) -> U8:
+def coverage_plot(
+    calibration: StereoCalibration,
+    sides: tuple[str, str] = ("left", "right"),
+    right_size: tuple[int, int] | None = None,
+) -> U8:
     """The corners of all views used in both images, and the error of each view, uint8 (H', W', 3) BGR.
 
     A corner has the color of its view's error: turbo from 0 to the largest error of the views.
+
+    Args:
+        calibration: of two cameras, or of a camera and a projector.
+        sides: their names.
+        right_size: width, height of the image of the right one where its corners are not in one of the left one's size.
     """
-    width, height = calibration.size
-    scale = _PANEL_WIDTH / width
-    panel_height = round(scale * height)
+    sizes = calibration.size, right_size or calibration.size
+    scales = [_PANEL_WIDTH / width for width, _ in sizes]
+    heights = [round(scale * height) for scale, (_, height) in zip(scales, sizes, strict=True)]
+    panel_height = max(heights)
     top, bars_top = _TITLE + _MARGIN // 2, _TITLE + _MARGIN // 2 + panel_height + _CAPTION + _MARGIN
     image = canvas(2 * _PANEL_WIDTH + 3 * _MARGIN, bars_top + _BARS + _AXIS)
     largest = max(max(view.rms_left, view.rms_right) for view in calibration.views)
-    for number, (side, color) in enumerate((("left", _LEFT), ("right", _RIGHT))):
-        x = _MARGIN + number * (_PANEL_WIDTH + _MARGIN)
-        panel = image[top : top + panel_height, x : x + _PANEL_WIDTH]
+    for number, (side, color) in enumerate(zip(sides, (_LEFT, _RIGHT), strict=True)):
+        x, scale = _MARGIN + number * (_PANEL_WIDTH + _MARGIN), scales[number]
+        panel = image[top : top + heights[number], x : x + _PANEL_WIDTH]
         panel[:] = _PANEL
         for view in calibration.views:
             points, rms = (view.left_px, view.rms_left) if number == 0 else (view.right_px, view.rms_right)

@@ -274,8 +274,8 @@ def _warnings(
 ) -> Iterator[str]:
     if poses < _JACKKNIFE_POSES:
         yield (
-            f"{poses} poses: the standard deviations are those of the corners alone, as so few poses do not check each "
-            "other, and no pose is dropped: 10 are recommended"
+            f"{poses} poses: the standard deviations are those of the corners alone, as so few poses hardly check each "
+            "other: 10 are recommended"
         )
     if not camera_known and (names := ", ".join(zeroed_coefficients(camera))):
         yield f"the poses do not determine {names} of the camera, fixed at 0: show the board near its image edges"

@@ -39,7 +39,7 @@ class Resection(NamedTuple):
         signs = np.diag(np.where(np.diag(U) < 0, -1.0, 1.0))
         R = np.asarray((Q @ signs).T, np.float64)
         K = np.asarray(np.linalg.inv(signs @ U), np.float64)
-        T: F64 = np.linalg.solve(K, self.P[:, 3])
+        T = np.asarray(np.linalg.solve(K, self.P[:, 3]), np.float64)
         if np.linalg.det(R) < 0:
             R, T = -R, -T
         K = K / K[2, 2]
