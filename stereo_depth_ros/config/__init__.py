@@ -14,6 +14,7 @@ from stereo_depth_ros.config.stages import (
     PairingConfig,
     PipelineConfig,
     RectificationConfig,
+    ViewConfig,
 )
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "ParameterInfo",
     "PipelineConfig",
     "RectificationConfig",
+    "ViewConfig",
     "parameter_infos",
     "replace_checked",
     "unknown_parameter",

@@ -20,6 +20,7 @@ __all__ = [
     "rectify_node",
     "replay_node",
     "stereo_depth_node",
+    "view_node",
 ]
 
 
@@ -45,3 +46,4 @@ point_cloud_node = functools.partial(_start, "point_cloud_node")
 rectify_node = functools.partial(_start, "rectify_node")
 replay_node = functools.partial(_start, "replay_node")
 stereo_depth_node = functools.partial(_start, "stereo_depth_node")
+view_node = functools.partial(_start, "view_node")
