@@ -15,6 +15,7 @@ NODES = (
     "depth_node",
     "stereo_depth_node",
     "feature_node",
+    "view_node",
     "calibration_monitor",
     "calibration_node",
     "structured_light_node",

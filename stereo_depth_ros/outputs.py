@@ -22,7 +22,7 @@ from stereo_depth_ros.messages.types import MessageTypes
 from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.point_cloud import CloudLayout
 
-__all__ = ["OUTPUTS", "Output", "ResultMessages"]
+__all__ = ["LIVE_OUTPUTS", "OUTPUTS", "Output", "ResultMessages"]
 
 
 class ResultMessages:
@@ -48,6 +48,10 @@ class ResultMessages:
     def right_rectified(self, result: StereoResult) -> Any:
         """The right rectified image, gray."""
         return self._gray("right", result.rectified.right, result.rectified.right_16, result.pair.right)
+
+    def right_rectified_color(self, result: StereoResult) -> Any:
+        """The right rectified image in its original encoding."""
+        return self._image("right color", *result.right_image, result.pair.right)
 
     def disparity(self, result: StereoResult) -> Any:
         """The DisparityImage."""
@@ -123,4 +127,10 @@ OUTPUTS = (
     Output("left/image_rect", "sensor_msgs/msg/Image", ResultMessages.left_rectified),
     Output("left/image_rect_color", "sensor_msgs/msg/Image", ResultMessages.left_rectified_color),
     Output("right/image_rect", "sensor_msgs/msg/Image", ResultMessages.right_rectified),
+)
+
+# Of the fused node; those that are not in OUTPUTS are not recorded, so that bags do not grow.
+LIVE_OUTPUTS = (
+    *OUTPUTS,
+    Output("right/image_rect_color", "sensor_msgs/msg/Image", ResultMessages.right_rectified_color),
 )

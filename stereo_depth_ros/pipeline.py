@@ -182,6 +182,18 @@ class StereoResult:
         return self.rectifier.rectify_left(camera.color(self.config.rectification.debayer)), camera.encoding
 
     @cached_property
+    def right_image(self) -> tuple[npt.NDArray[Any], str]:
+        """As :attr:`left_image`, of the right camera; it is rectified on demand."""
+        rectified, frame = self.rectified, self.pair.right
+        if frame.camera is None:
+            is_gray = frame.encoding == "mono8"
+            return (rectified.right if is_gray else self.rectifier.rectify_right(frame.pixels)), frame.encoding
+        if rectified.right_16 is not None and frame.camera.encoding == "mono16":
+            return rectified.right_16, frame.camera.encoding
+        color = frame.camera.color(self.config.rectification.debayer)
+        return self.rectifier.rectify_right(color), frame.camera.encoding
+
+    @cached_property
     def triangulation(self) -> Triangulation:
         """Conversion of the disparities to points."""
         return Triangulation.from_rig(self.calibrated_rig)

@@ -211,7 +211,8 @@ def test_encoding_is_kept_live_and_offline_and_both_shapes_agree(encoding: str, 
     with Graph(RectifyNode, DisparityNode, PointCloudNode, parameters=PARAMETERS) as graph:
         separate = one_pair(graph, messages, {**dict.fromkeys(expected, Image), **results})
     with Graph(StereoDepthNode, parameters=PARAMETERS) as graph:
-        fused = one_pair(graph, messages, {**dict.fromkeys(fused_images, Image), **results})
+        images = dict.fromkeys((*fused_images, "right/image_rect_color"), Image)
+        fused = one_pair(graph, messages, {**images, **results})
     offline = offline_outputs(encoding, tmp_path, {**dict.fromkeys(fused_images, "Image"), "points2": "PointCloud2"})
 
     for topic, pixels in expected.items():
@@ -221,6 +222,8 @@ def test_encoding_is_kept_live_and_offline_and_both_shapes_agree(encoding: str, 
     for topic in fused_images:
         assert fused[topic].encoding == separate[topic].encoding == offline[topic].encoding
         assert bytes(fused[topic].data) == bytes(separate[topic].data) == bytes(offline[topic].data), topic
+    right = "right/image_rect_color"  # not recorded
+    assert (fused[right].encoding, bytes(fused[right].data)) == (separate[right].encoding, bytes(separate[right].data))
     assert bytes(fused["disparity"].image.data) == bytes(separate["disparity"].image.data)
     assert bytes(fused["points2"].data) == bytes(separate["points2"].data) == bytes(offline["points2"].data)
 

@@ -35,10 +35,11 @@ from stereo_depth_ros.nodes.replay.recorder import Recorder  # noqa: E402
 from stereo_depth_ros.nodes.replay_node import INTERFACE  # noqa: E402
 from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode  # noqa: E402
 from stereo_depth_ros.nodes.structured_light_node import StructuredLightNode  # noqa: E402
+from stereo_depth_ros.nodes.view_node import ViewNode  # noqa: E402
 
 NODES: tuple[type[StereoNode], ...] = (
     *(RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode, FeatureNode),
-    *(CalibrationMonitor, CalibrationNode, StructuredLightNode),
+    *(ViewNode, CalibrationMonitor, CalibrationNode, StructuredLightNode),
 )
 INTERFACES = {node.interface.name: node.interface for node in NODES} | {INTERFACE.name: INTERFACE}
 OF_ROS = ("/rosout", "/parameter_events")
@@ -238,7 +239,7 @@ def test_the_log_names_inputs_qos_matcher_and_what_the_node_waits_for() -> None:
             "inputs: /left/camera_info, /right/camera_info (best effort unless latched, depth 7); "
             "/left/image_raw (reliable, depth 7); /right/image_raw (reliable as its publishers, depth 7)",
             "ready; matcher bm; waiting for a subscriber of /d, /depth/image_rect, /depth/camera_info, /points2, "
-            "/left/image_rect, /left/image_rect_color, /right/image_rect",
+            "/left/image_rect, /left/image_rect_color, /right/image_rect, /right/image_rect_color",
         ]
         assert features.readiness()[1] == "ready; matcher features; waiting for a subscriber of /features/points2"
 

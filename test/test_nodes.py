@@ -36,6 +36,7 @@ OUTPUTS = {
     "left/image_rect": Image,
     "left/image_rect_color": Image,
     "right/image_rect": Image,
+    "right/image_rect_color": Image,
     "disparity": DisparityImage,
     "depth/image_rect": Image,
     "depth/camera_info": CameraInfo,
@@ -82,7 +83,7 @@ def fused(camera: StereoCamera) -> dict[str, Any]:
 def test_every_output_has_the_header_of_the_left_image_and_its_size(fused: dict[str, Any], topic: str) -> None:
     message = fused[topic]
     assert stamp_ns(message) == STAMP_NS
-    expected = "right_camera_optical_frame" if topic == "right/image_rect" else FRAME_ID
+    expected = "right_camera_optical_frame" if topic.startswith("right") else FRAME_ID
     assert message.header.frame_id == expected
     sized = message.image if topic == "disparity" else message
     assert (sized.width, sized.height) == (WIDTH, HEIGHT)

@@ -417,13 +417,15 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
     from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
     from stereo_depth_ros.nodes.rectify_node import RectifyNode
     from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
+    from stereo_depth_ros.nodes.view_node import ViewNode
 
     def topics(endpoints: Iterable[Any]) -> Topics:
         found = {end.topic_name.lstrip("/"): end.msg_type.__name__ for end in endpoints}
         return {name: kind for name, kind in found.items() if name not in ("rosout", "parameter_events", "clock")}
 
     pipeline = (RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode)
-    with Graph(*pipeline, FeatureNode, CalibrationMonitor, CalibrationNode, parameters={"auto_correct": True}) as graph:
+    others = (FeatureNode, ViewNode, CalibrationMonitor, CalibrationNode)
+    with Graph(*pipeline, *others, parameters={"auto_correct": True}) as graph:
         kinds = {end.topic_name: end.msg_type for node in graph.nodes for end in node.publishers}
         for topic in kinds.keys() - {"/rosout", "/parameter_events", "/diagnostics"}:
             graph.listen(topic, kinds[topic])

@@ -28,6 +28,7 @@ _CONDITIONS: Mapping[str, tuple[str, Value]] = {
     "max_difference": ("window_cost", "sad"),
     "correction_limit": ("auto_correct", True),
     "reference_yaw": ("correct_yaw", True),
+    "convergence": ("auto_convergence", False),
 }
 # Parameters of stereo_image_proc and of the nodes that no command uses
 _NEVER: Mapping[str, str] = {
@@ -185,8 +186,10 @@ _PARTS: Mapping[str, str] = {
     "rectification": "the rectification",
     "health": "calibration_monitor",
     "calibration": "calibration_node",
+    "structured_light": "structured_light_node",
     "light_stripe": "light stripe scanning",
     "stripe_motion": "light_stripe_node",
+    "view": "the views",
 }
 
 

@@ -15,6 +15,7 @@ from stereo_depth_ros.config.stages import (
     PairingConfig,
     PipelineConfig,
     RectificationConfig,
+    ViewConfig,
 )
 from stereo_depth_ros.config.structured_light import StructuredLightConfig
 
@@ -33,6 +34,7 @@ __all__ = [
     "RectificationConfig",
     "StripeMotionConfig",
     "StructuredLightConfig",
+    "ViewConfig",
     "parameter_infos",
     "replace_checked",
     "unknown_parameter",

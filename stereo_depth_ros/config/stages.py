@@ -18,6 +18,8 @@ from stereo_depth_ros.config.parameter import Checked, parameter
 from stereo_depth_ros.config.structured_light import StructuredLightConfig
 
 __all__ = [
+    "ANAGLYPH_FILTERS",
+    "ANAGLYPH_METHODS",
     "CONFIGS",
     "CalibrationConfig",
     "CalibrationMonitorConfig",
@@ -27,7 +29,11 @@ __all__ = [
     "PairingConfig",
     "PipelineConfig",
     "RectificationConfig",
+    "ViewConfig",
 ]
+
+ANAGLYPH_METHODS = ("true", "gray", "color", "half-color", "optimized", "dubois")
+ANAGLYPH_FILTERS = ("red-cyan", "green-magenta", "amber-blue")
 
 
 @dataclass(frozen=True)
@@ -200,6 +206,40 @@ class CalibrationConfig(Checked):
 
 
 @dataclass(frozen=True)
+class ViewConfig(Checked):
+    """Views: the image between the cameras, anaglyphs and color maps."""
+
+    view_position: float = parameter(
+        0.5,
+        "Position of the camera of view/image: 0 is the left one, 1 the right one; a message on view/position replaces "
+        "it until it is set again.",
+        low=-0.5,
+        high=1.5,
+    )
+    anaglyph_method: str = parameter("dubois", "How the colors of an anaglyph are computed.", choices=ANAGLYPH_METHODS)
+    anaglyph_filters: str = parameter(
+        "red-cyan", "Filters of the glasses for anaglyphs, left and right.", choices=ANAGLYPH_FILTERS
+    )
+    auto_convergence: bool = parameter(
+        True, "Shift the images of an anaglyph so that the subject, the nearest large surface, lies at the screen."
+    )
+    convergence: float = parameter(
+        0.0,
+        "Disparity that lies at the screen where auto_convergence is false, rounded.",
+        low=-4096.0,
+        high=4096.0,
+        unit="px",
+    )
+    depth_near: float = parameter(
+        0.0, "Depth with the lightest color of depth_color; 0 is the 1st percentile.", low=0.0, high=10000.0, unit="m"
+    )
+    depth_far: float = parameter(
+        0.0, "Depth with the darkest color of depth_color; 0 is the 99th percentile.", low=0.0, high=10000.0, unit="m"
+    )
+    color_legend: bool = parameter(False, "Add a legend to disparity_color and depth_color, beside the image.")
+
+
+@dataclass(frozen=True)
 class PipelineConfig:
     """Parameters of all stages of the pipeline."""
 
@@ -219,4 +259,5 @@ CONFIGS: Mapping[str, type] = {
     "structured_light": StructuredLightConfig,
     "light_stripe": LightStripeConfig,
     "stripe_motion": StripeMotionConfig,
+    "view": ViewConfig,
 }

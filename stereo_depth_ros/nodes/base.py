@@ -33,6 +33,7 @@ __all__ = ["FIRST_WAIT", "Output", "StereoNode", "log_compilation"]
 
 _TOO_LATE = "pairs dropped while others were matched"
 _INFO = "sensor_msgs/msg/CameraInfo"
+_COMMAND = "std_msgs/msg/Float64"  # of these the last message counts, and there may be none
 FIRST_WAIT = 4  # times queue_size: messages that may wait for the first camera infos, and then come all at once
 _SILENCE_S = 5.0  # an input without a message for this time is reported
 _FOLLOW_S = 0.1  # between two looks at the publishers of the inputs
@@ -146,7 +147,8 @@ class StereoNode(Node):  # type: ignore[misc]
                 callback,
                 wanted,
                 depth=max(depth, self.parameters.get(PairingConfig).queue_size),
-                repeated=msgtype == _INFO,
+                repeated=msgtype in (_INFO, _COMMAND),
+                may_be_silent=msgtype == _COMMAND,
                 on_change=self._start_following,
             )
         )

@@ -48,7 +48,8 @@ class Input:
         callback: called with every message.
         wanted: whether the node needs this input.
         depth: messages kept until the callback takes them.
-        repeated: whether the messages repeat one content, which may be latched instead; one may be received twice.
+        repeated: whether only the last message counts, which may be latched; one may be received twice.
+        may_be_silent: whether it is normal that no message comes.
         on_change: called when a publisher appears or goes away, some time before the graph shows it.
     """
 
@@ -63,6 +64,7 @@ class Input:
         wanted: Callable[[], bool],
         depth: int,
         repeated: bool,
+        may_be_silent: bool,
         on_change: Callable[[], None],
     ) -> None:
         self.topic = topic
@@ -74,6 +76,7 @@ class Input:
         self._callback = callback
         self._depth = depth
         self._repeated = repeated
+        self._may_be_silent = may_be_silent
         self._on_change = on_change
         self._received, self._received_before = 0, 0  # now, and when it was looked at last
         self._subscription: Subscription | None = None
@@ -141,9 +144,9 @@ class Input:
                 self._receive(*taken)
 
     def is_silent(self) -> bool:
-        """Whether it is subscribed and has received nothing since the last call; the first call begins the interval."""
+        """Whether it should have received something since the last call; the first call begins the interval."""
         before, self._received_before = self._received_before, self._received
-        return self.subscribed and self._received == before
+        return self.subscribed and self._received == before and not self._may_be_silent
 
     def unsubscribe(self) -> None:
         """Unsubscribe."""

@@ -21,6 +21,7 @@ __all__ = [
     "replay_node",
     "stereo_depth_node",
     "structured_light_node",
+    "view_node",
 ]
 
 
@@ -47,3 +48,4 @@ rectify_node = functools.partial(_start, "rectify_node")
 replay_node = functools.partial(_start, "replay_node")
 stereo_depth_node = functools.partial(_start, "stereo_depth_node")
 structured_light_node = functools.partial(_start, "structured_light_node")
+view_node = functools.partial(_start, "view_node")

@@ -25,7 +25,7 @@ from stereo_depth_ros.nodes.first_pairs_watch import FirstPairsWatch
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
 from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.runner import run
-from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
+from stereo_depth_ros.outputs import LIVE_OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import PreparedPair, StereoPipeline, StereoResult
 
 __all__ = ["StereoDepthNode", "main"]
@@ -49,7 +49,7 @@ class StereoDepthNode(StereoNode):
         "stereo_depth_node",
         configs=(PairingConfig, CameraInfoConfig, MatchingConfig, DepthConfig, CloudConfig, RectificationConfig),
         inputs=CAMERA_INFOS | RAW_IMAGES,
-        outputs={row.topic: row.msgtype for row in OUTPUTS},
+        outputs={row.topic: row.msgtype for row in LIVE_OUTPUTS},
     )
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class StereoDepthNode(StereoNode):
         self._depth = BitDepth()
         self.on_idle += [self._depth.restart, self._messages.restart]
         self._calibration = CalibrationInput(self)
-        self._results = [(self.add_output(row.topic), row.topic, row.build) for row in OUTPUTS]
+        self._results = [(self.add_output(row.topic), row.topic, row.build) for row in LIVE_OUTPUTS]
         self.overlap_frames(self._prepare, self._match, self._publish, lambda frame: frame.pipeline.at_once)
         self._pairs = PairInput(self, "left/image_raw", "right/image_raw", self._on_pair)
         self.add_input("left/image_raw", self._pairs.add_left)

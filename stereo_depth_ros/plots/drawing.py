@@ -106,14 +106,22 @@ def turbo(share: F32) -> U8:
     return colors
 
 
-def draw_color_bar(image: U8, x: int, top: int, height: int, ticks: Iterable[tuple[float, str]]) -> None:
-    """A vertical turbo scale, 1 at the top, with its labels.
+def draw_color_bar(
+    image: U8,
+    x: int,
+    top: int,
+    height: int,
+    ticks: Iterable[tuple[float, str]],
+    colormap: int = cv2.COLORMAP_TURBO,
+) -> None:
+    """A vertical color scale, 1 at the top, with its labels.
 
     Args:
         ticks: place on the scale, 0..1, and label.
+        colormap: number of the color map in OpenCV.
     """
     levels = np.linspace(255, 0, height).astype(np.uint8)[:, None]
-    image[top : top + height, x : x + _BAR_WIDTH] = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
+    image[top : top + height, x : x + _BAR_WIDTH] = cv2.applyColorMap(levels, colormap)
     for share, label in ticks:
         y = top + round((1 - share) * (height - 1))
         cv2.line(image, (x + _BAR_WIDTH, y), (x + _BAR_WIDTH + 4, y), FAINT, 1)
