@@ -14,7 +14,7 @@ from stereo_depth_ros.calibration.boards import MIN_CORNERS, Corners, check_boar
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import F64, U8
 
-__all__ = ["AprilGrid", "CharucoBoard"]
+__all__ = ["AprilGrid", "CharucoBoard", "marker_detector"]
 
 _TAGS = 587  # of the family 36h11
 _SMALL_WIDTH = 1000  # px; smaller images are enlarged twice to detect tags
@@ -222,6 +222,15 @@ def _aruco_dictionary(name: str) -> Any:
             settings=("dictionary",),
         )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def marker_detector(name: str) -> Any:
+    """OpenCV's detector of single markers of a dictionary, by its OpenCV name.
+
+    Raises:
+        ConfigError: an unknown name, or an OpenCV before 4.7.
+    """
+    return cv2.aruco.ArucoDetector(_aruco_dictionary(name), cv2.aruco.DetectorParameters())
 
 
 def _tag_detector(border_bits: int) -> Any:

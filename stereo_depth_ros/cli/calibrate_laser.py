@@ -84,7 +84,7 @@ def calibrate_laser(
     """Calibrate the light plane of a laser from images of its stripe on a board.
 
     The whole board must be visible in each image, with the stripe across it, in another pose each time: near and far,
-    and tilted. The stripe is used on the white margin of the board too. At least three poses are needed, ten are
+    and tilted. The stripe can be on the white margin of the board too. At least three poses are needed, ten are
     recommended; laser and camera must not move. Images in which the board or the stripe is not found are named; stripes
     that are off the plane of the others are dropped and named.
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from stereo_depth_ros.core.types import F32, F64, U8
 from stereo_depth_ros.messages.types import MessageTypes, make_header
 from stereo_depth_ros.stages.point_cloud import CloudLayout, pack_points
 
-__all__ = ["cloud_message", "sparse_cloud_message"]
+__all__ = ["cloud_message", "sparse_cloud_message", "valued_cloud_message"]
 
 _FLOAT32 = 7
 
@@ -72,21 +73,56 @@ def sparse_cloud_message(
     return _message(types, layout, (1, len(points_m)), data, make_header(types, stamp_ns, frame_id), is_dense=True)
 
 
+def valued_cloud_message(
+    types: MessageTypes, points_m: F64, values: Mapping[str, F32], *, stamp_ns: int, frame_id: str
+) -> Any:
+    """A PointCloud2 of one row of points with a float32 for each of some values, all of them valid.
+
+    Args:
+        types: the message classes.
+        points_m: float64 (N, 3), meters.
+        values: float32 (N,) by name of the field; RViz and Foxglove color by ``intensity``.
+        stamp_ns, frame_id: header.
+    """
+    names = ("x", "y", "z", *values)
+    data, view = types.payload(4 * len(names) * len(points_m))
+    words = view.view(np.float32).reshape(len(points_m), len(names))
+    words[:, :3] = points_m
+    for number, each in enumerate(values.values(), start=3):
+        words[:, number] = each
+    offsets = {name: 4 * number for number, name in enumerate(names)}
+    header = make_header(types, stamp_ns, frame_id)
+    return _message_of(types, offsets, 4 * len(names), (1, len(points_m)), data, header, is_dense=True)
+
+
 def _message(
     types: MessageTypes, layout: CloudLayout, shape: tuple[int, int], data: Any, header: Any, *, is_dense: bool
 ) -> Any:
-    height, width = shape
     offsets = {"x": 0, "y": 4, "z": 8}
     if layout.rgb_offset is not None:
         offsets["rgb"] = layout.rgb_offset
+    return _message_of(types, offsets, layout.point_step, shape, data, header, is_dense=is_dense)
+
+
+def _message_of(
+    types: MessageTypes,
+    offsets: Mapping[str, int],
+    point_step: int,
+    shape: tuple[int, int],
+    data: Any,
+    header: Any,
+    *,
+    is_dense: bool,
+) -> Any:
+    height, width = shape
     return types.PointCloud2(
         header=header,
         height=height,
         width=width,
         fields=[types.PointField(name=n, offset=o, datatype=_FLOAT32, count=1) for n, o in offsets.items()],
         is_bigendian=sys.byteorder == "big",
-        point_step=layout.point_step,
-        row_step=layout.point_step * width,
+        point_step=point_step,
+        row_step=point_step * width,
         data=data,
         is_dense=is_dense,
     )

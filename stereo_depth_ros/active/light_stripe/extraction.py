@@ -86,7 +86,7 @@ class StripeExtractor:
             return "gray"
         profiles = {name: self._extract(image, ambient, search, _weights(name, encoding)) for name in CHANNELS}
         counts = {name: len(profile.valid_lines) for name, profile in profiles.items()}
-        enough = [name for name in CHANNELS if counts[name] >= 0.8 * max(counts.values())]
+        enough = [name for name in CHANNELS if counts[name] >= 0.95 * max(counts.values())]
         if not max(counts.values()):
             return "gray"
         return min(enough, key=lambda name: float(np.nanmedian(profiles[name].sigma_px)))

@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Motion messages to numpy: JointState and PoseStamped, for rclpy and rosbags."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stereo_depth_ros.core.errors import MessageError
+from stereo_depth_ros.core.quoted import quoted
+from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.messages.types import stamp_ns
+
+__all__ = ["joint_value", "pose_value"]
+
+
+def joint_value(msg: Any, joint: str, topic: str = "") -> tuple[int, F64]:
+    """Stamp, integer nanoseconds, and position, float64 (1,), of a joint in a sensor_msgs/JointState.
+
+    Args:
+        msg: the message, of any family.
+        joint: name of the joint; empty takes the first one.
+        topic: subject of errors.
+
+    Raises:
+        MessageError: the joint is not in it, or its position is not a finite number.
+    """
+    names, positions = list(msg.name), list(msg.position)
+    at = names.index(joint) if joint in names else 0
+    if (joint and joint not in names) or at >= len(positions):
+        raise MessageError(
+            f"holds no position of {quoted(joint) if joint else 'a joint'}",
+            subject=topic,
+            value=names,
+            limit=joint,
+            remedy="name one of its joints" if names else "publish the position of the axis",
+            settings=("motion_joint",),
+        )
+    return stamp_ns(msg.header, topic), _finite(np.array([positions[at]], np.float64), topic)
+
+
+def pose_value(msg: Any, topic: str = "") -> tuple[int, F64]:
+    """Stamp, integer nanoseconds, and x, y, z, qx, qy, qz, qw, float64 (7,), of a geometry_msgs/PoseStamped.
+
+    Raises:
+        MessageError: values that are not finite, or a quaternion that is not of length 1.
+    """
+    p, q = msg.pose.position, msg.pose.orientation
+    value = _finite(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w], np.float64), topic)
+    length = float(np.linalg.norm(value[3:]))
+    if not 0.5 < length < 2:
+        raise MessageError(
+            f"the quaternion has the length {length:g}, not 1",
+            subject=topic,
+            value=length,
+            limit=1.0,
+            remedy="publish a valid orientation",
+        )
+    return stamp_ns(msg.header, topic), value
+
+
+def _finite(value: F64, topic: str) -> F64:
+    if not np.isfinite(value).all():
+        raise MessageError(
+            f"holds {value.tolist()}, which is not finite", subject=topic, value=value, remedy="check its publisher"
+        )
+    return value
