@@ -13,12 +13,14 @@ import pytest
 from command_line import CommandLine, Run
 from scanned import SEQUENCE, errors, pictured, projector_rig, scanner, write_bag, write_manifest
 
+from stereo_depth_ros.active.one_shot.stripes import stripe_pattern
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import F32
+from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.messages.disparity import matched_disparity
 from stereo_depth_ros.outputs import OUTPUTS
+from stereo_depth_ros.synthetic.projection import SyntheticScanner
 
 COUNT = len(SEQUENCE)
 ALL = list(range(COUNT))
@@ -52,6 +54,12 @@ def write_images(folder: Path, sides: tuple[str, ...] = ("left", "right"), numbe
             cv2.imwrite(str(folder / side / f"{number}.png"), image)
     write_manifest(folder)
     return folder
+
+
+def save_image(path: Path, pixels: U8) -> None:
+    """An RGB image as a file."""
+    path.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(path), cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
 
 
 def write_rig(folder: Path, rig: StereoRig) -> list[str]:
@@ -124,6 +132,21 @@ def test_one_camera_and_a_projector(run: Run, tmp_path: Path) -> None:
     (found,) = json.loads(out)["scans"]
     assert found["valid_fraction"] > 0.4
     assert 0.7 < found["median_depth_m"] < 1.5
+
+
+def test_color_stripes(run: Run, tmp_path: Path) -> None:
+    pattern = stripe_pattern((256, 192), stripe_px=4)
+    own = SyntheticScanner(240, 180, (256, 192))
+    save_image(tmp_path / "stripes.png", pattern)
+    for side, image in zip(("left", "right"), own.capture(pattern), strict=True):
+        save_image(tmp_path / "captures" / f"{side}.png", image)
+    options = ("--patterns", tmp_path / "stripes.png", *write_rig(tmp_path, own.rig))
+    code, _, err = run("scan", tmp_path / "captures", "-o", tmp_path / "o.mcap", *options)
+    assert code == 0, err
+    found = disparity(tmp_path / "o.mcap", own.rig)
+    error = np.abs(found - own.truth().disparity_px)[np.isfinite(found)]
+    assert np.isfinite(found).mean() > 0.25
+    assert np.mean(error < 1) > 0.95 and np.median(error) < 0.2
 
 
 def test_what_is_missing_is_named(run: Run, tmp_path: Path, manifest: Path) -> None:

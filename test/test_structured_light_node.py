@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 from stereo_msgs.msg import DisparityImage
 
 from stereo_depth_ros.active.scanner import Scanner
+from stereo_depth_ros.active.shown_patterns import ShownSequence
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import ConfigError
@@ -62,7 +63,7 @@ def send(graph: Graph, images: tuple[U8, ...], number: int) -> None:
 
 def offline() -> dict[str, Any]:
     """What a scan without a graph gives, by topic."""
-    result = Scanner(PipelineConfig(), scanner().rig, SEQUENCE).scan(captures())
+    result = Scanner(PipelineConfig(), scanner().rig, ShownSequence(SEQUENCE)).scan(captures())
     types = RosbagsTypes()
     built = ResultMessages(types)
     rows = {row.topic: types.serialize(row.build(built, result)) for row in OUTPUTS if row.topic in KINDS}

@@ -13,13 +13,11 @@ from typing import TypeAlias
 import numpy as np
 
 from stereo_depth_ros.active.projector.disparity import disparity_from_projector
+from stereo_depth_ros.active.shown_patterns import ShownPatterns
 from stereo_depth_ros.active.structured_light.correspondence import disparity_from_maps
-from stereo_depth_ros.active.structured_light.decoding import decode
-from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
 from stereo_depth_ros.core.errors import ImageError
-from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32, U8, Frame, MatchResult, Reason, StereoPair
@@ -42,12 +40,12 @@ class Scanner:
     Args:
         config: parameters of the outputs.
         rig: both cameras, or the camera and the projector as its right one.
-        sequence: what the projector shows.
+        patterns: what the projector shows.
     """
 
-    def __init__(self, config: PipelineConfig, rig: StereoRig, sequence: PatternSequence) -> None:
+    def __init__(self, config: PipelineConfig, rig: StereoRig, patterns: ShownPatterns) -> None:
         self.rig = rig
-        self.sequence = sequence
+        self.patterns = patterns
         self._config = config
         self._rectifier = Rectifier(rig)
         compile_kernels()
@@ -67,12 +65,13 @@ class Scanner:
         """
         self._check(captures)
         start = time.perf_counter()
-        shown = captures[self.sequence.index("white") or 0]
+        shown = captures[self.patterns.best]
         pair = StereoPair(shown[0], shown[1] if len(shown) > 1 else self._black(shown[0]))
         rectified = self._rectifier.rectify(pair)
         sides = (self._rectifier.rectify_left, self._rectifier.rectify_right)
         images = [
-            [rectify(to_gray(each[side])) for each in captures] for side, rectify in enumerate(sides[: len(shown)])
+            [rectify(self.patterns.image(each[side])) for each in captures]
+            for side, rectify in enumerate(sides[: len(shown)])
         ]
         decoding = time.perf_counter()
         maps = [self._decoded(side, gray) for side, gray in enumerate(images)]
@@ -88,7 +87,7 @@ class Scanner:
         return StereoResult(pair, rectified, match, self.rig, config, timings_ms, self._rectifier)
 
     def _decoded(self, side: int, images: Sequence[U8]) -> ProjectorMap:
-        seen = decode(self.sequence, images)
+        seen = self.patterns.decode(images)
         source = (self._rectifier.left_source, self._rectifier.right_source)[side]
         for values in (seen.column_px, seen.row_px, seen.sigma_px):
             if values is not None:
@@ -100,12 +99,12 @@ class Scanner:
         return Frame(np.zeros((self.rig.height, self.rig.width), np.uint8), frame.stamp_ns, self.rig.right.frame_id)
 
     def _check(self, captures: Sequence[Capture]) -> None:
-        if len(captures) != len(self.sequence):
+        if len(captures) != len(self.patterns):
             raise ImageError(
-                f"{len(captures)} captures, the sequence has {len(self.sequence)} patterns",
+                f"{len(captures)} captures of {len(self.patterns)} patterns",
                 subject="scan",
                 value=len(captures),
-                limit=len(self.sequence),
+                limit=len(self.patterns),
                 remedy="capture every pattern once",
             )
         cameras = {len(each) for each in captures}

@@ -10,7 +10,8 @@ from typing import Annotated
 
 import typer
 
-from stereo_depth_ros.active.structured_light.manifest import MANIFEST, read_manifest
+from stereo_depth_ros.active.shown_patterns import read_patterns
+from stereo_depth_ros.active.structured_light.manifest import MANIFEST
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.bags.writer import check_bag_output
@@ -41,7 +42,8 @@ def scan(
     patterns: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help=f"Read what the images show from this manifest; the default is {MANIFEST} in DIR."
+            metavar="FILE",
+            help=f"Read the patterns from this manifest, or color stripes from an image; the default is DIR/{MANIFEST}.",
         ),
     ] = None,
     camera_info: CameraInfo = None,
@@ -76,11 +78,12 @@ def scan(
 
     The images of a folder are in the order of the manifest, which `stereo-depth patterns` writes; for two cameras they
     are named as for `stereo-depth convert images`. In a bag the patterns are those that /scan/shown announces; without
-    it they are found by their changes.
+    it they are found by their changes. With color stripes every capture is a scan of its own.
 
     \b
     Examples:
       stereo-depth scan captures -o scan.mcap --patterns patterns/patterns.json --camera-info left.yaml right.yaml
+      stereo-depth scan drive.mcap -o scan.mcap --patterns stripes.png
       stereo-depth scan captures -o scan.mcap --projector --camera-info camera.yaml projector.yaml --preview scan.png
     """
     manifest = patterns or _manifest_beside(place)
@@ -90,13 +93,13 @@ def scan(
     files = [*source.files, manifest]
     check_bag_output(output, files, reports=[json_file, preview], overwrite=overwrite)
     check_outputs([], files, reports=[preview], overwrite=overwrite)
-    sequence, config = read_manifest(manifest), pipeline_config(given_parameters(param or (), None, file={}))
+    shown, config = read_patterns(manifest), pipeline_config(given_parameters(param or (), None, file={}))
     prepare_kernels()
     first: list[StereoResult] = []
     with progress_bar("reading") as progress:
         scans = scan_captures(
             source,
-            sequence,
+            shown,
             output,
             config,
             settle=settle,

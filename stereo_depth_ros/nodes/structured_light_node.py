@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from stereo_depth_ros.active.scanner import Capture, Scanner
+from stereo_depth_ros.active.shown_patterns import ShownPatterns, read_patterns
 from stereo_depth_ros.active.structured_light.collecting import AnnouncedPatterns, ChangingPatterns
-from stereo_depth_ros.active.structured_light.manifest import read_manifest
-from stereo_depth_ros.active.structured_light.order import sequence_fault
-from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.config import (
     CameraInfoConfig,
     CloudConfig,
@@ -59,14 +57,13 @@ class StructuredLightNode(StereoNode):
     def __init__(self) -> None:
         super().__init__()
         config = self.parameters.get(StructuredLightConfig)
-        self._sequence = _sequence(config)
-        count, settle = len(self._sequence), config.settle_frames
+        self._patterns = _patterns(config)
+        count = len(self._patterns)
+        settle = config.settle_frames if count > 1 else 0
         self._announced: AnnouncedPatterns[Capture] = AnnouncedPatterns(count, settle)
         self._changing: ChangingPatterns[Capture] | None = None
         if config.pattern_signal == "images":
-            self._changing = ChangingPatterns(
-                count, settle, lambda capture: to_gray(capture[0]), functools.partial(sequence_fault, self._sequence)
-            )
+            self._changing = ChangingPatterns(count, settle, lambda capture: to_gray(capture[0]), self._fault)
         self._collector = self._changing or self._announced
         self._scanner_of = functools.lru_cache(maxsize=1)(self._make_scanner)
         self._messages = ResultMessages(self.types)
@@ -104,7 +101,8 @@ class StructuredLightNode(StereoNode):
         self._add((decode_from(self, "left/image_raw", message),), rig)
 
     def _add(self, capture: Capture, rig: StereoRig) -> None:
-        self._collector.settle = self.parameters.get(StructuredLightConfig).settle_frames
+        if len(self._patterns) > 1:
+            self._collector.settle = self.parameters.get(StructuredLightConfig).settle_frames
         complete = self._collector.add(capture)
         self.diagnostics.counters["captures"] += 1
         if complete is not None:
@@ -121,7 +119,7 @@ class StructuredLightNode(StereoNode):
 
     def _make_scanner(self, rig: StereoRig) -> Scanner:
         get = self.parameters.get
-        return Scanner(PipelineConfig(depth=get(DepthConfig), cloud=get(CloudConfig)), rig, self._sequence)
+        return Scanner(PipelineConfig(depth=get(DepthConfig), cloud=get(CloudConfig)), rig, self._patterns)
 
     def _on_shown(self, message: Any) -> None:
         self._announced.show(message.data)
@@ -137,15 +135,18 @@ class StructuredLightNode(StereoNode):
             )
         number = self._announced.missing[0]
         self._announced.show(number)
-        return f"pattern {number} of 0 to {len(self._sequence) - 1}, {self._sequence.patterns[number]}: images awaited"
+        return f"pattern {number} of 0 to {len(self._patterns) - 1}, {self._patterns.name(number)}: images awaited"
 
     def _restart(self) -> str:
         self._collector.restart()
         self._report()
         return "begun again: all patterns are missing"
 
+    def _fault(self, captures: list[Capture]) -> str:
+        return self._patterns.fault([capture[0] for capture in captures])
+
     def _no_sequence(self) -> str:
-        count, seen = len(self._sequence), self._changing.seen if self._changing else 0
+        count, seen = len(self._patterns), self._changing.seen if self._changing else 0
         if seen <= 2 * count or self._changing is None:
             return ""
         return f"{seen} different images, and no {count} of them in a row are the sequence: {self._changing.fault}"
@@ -153,17 +154,17 @@ class StructuredLightNode(StereoNode):
     def _report(self) -> None:
         """On scan/wanted and /diagnostics."""
         self.diagnostics.counters["incomplete scans"] = self._announced.abandoned
-        count = len(self._sequence)
+        count = len(self._patterns)
         if self._changing is not None:
             self.diagnostics.facts = {"patterns": f"{min(self._changing.seen, count)} of {count} seen"}
             return
         missing = self._announced.missing
-        names = ", ".join(f"{number} ({self._sequence.patterns[number]})" for number in missing[:3])
+        names = ", ".join(f"{number} ({self._patterns.name(number)})" for number in missing[:3])
         self.diagnostics.facts = {"patterns": f"{count - len(missing)} of {count} taken", "missing": names}
         self._wanted.publish(message_class(_NUMBER)(data=missing[0]))
 
 
-def _sequence(config: StructuredLightConfig) -> PatternSequence:
+def _patterns(config: StructuredLightConfig) -> ShownPatterns:
     if not config.patterns:
         raise ConfigError(
             "no patterns are named",
@@ -172,7 +173,7 @@ def _sequence(config: StructuredLightConfig) -> PatternSequence:
             remedy="name the patterns.json that `stereo-depth patterns` writes",
             settings=("patterns",),
         )
-    return read_manifest(Path(config.patterns).expanduser())
+    return read_patterns(Path(config.patterns).expanduser())
 
 
 def main() -> int:

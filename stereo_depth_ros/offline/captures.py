@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
 from stereo_depth_ros.active.scanner import Capture
+from stereo_depth_ros.active.shown_patterns import ShownPatterns
 from stereo_depth_ros.active.structured_light.collecting import AnnouncedPatterns, ChangingPatterns
-from stereo_depth_ros.active.structured_light.order import sequence_fault
-from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files, is_bag
@@ -135,7 +133,7 @@ class CaptureSource:
 
 def find_sequences(
     captured: Iterable[Captured],
-    sequence: PatternSequence,
+    patterns: ShownPatterns,
     announcements: Sequence[tuple[int, int]] = (),
     settle: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -147,9 +145,9 @@ def find_sequences(
 
     Args:
         captured: captures and their rig.
-        sequence: the patterns.
+        patterns: what the projector shows.
         announcements: time, nanoseconds, and number of each announced pattern.
-        settle: captures that are skipped after a change.
+        settle: captures that are skipped after a change; of one pattern every capture is a scan.
         progress: called with the captures read, twice.
 
     Raises:
@@ -157,10 +155,11 @@ def find_sequences(
         ConfigError: an announced number that the sequence does not have.
     """
 
+    settle = settle if len(patterns) > 1 else 0
     collector: AnnouncedPatterns[Capture] | ChangingPatterns[Capture]
-    announced = collector = AnnouncedPatterns(len(sequence), settle)
+    announced = collector = AnnouncedPatterns(len(patterns), settle)
     if not announcements:
-        collector = ChangingPatterns(len(sequence), settle, _gray, functools.partial(sequence_fault, sequence))
+        collector = ChangingPatterns(len(patterns), settle, _gray, lambda found: _fault(patterns, found))
     waiting = sorted(announcements)
     first: list[Capture] = []
     found = count = 0
@@ -172,42 +171,46 @@ def find_sequences(
         if complete is not None:
             found += 1
             yield complete, rig
-        if count <= len(sequence):
+        if count <= len(patterns):
             first.append(capture)
         progress(count, count)
     if found:
         return
-    if count == len(sequence) and rig is not None and not announcements:
-        if not (problem := sequence_fault(sequence, [_gray(each) for each in first])):
+    if count == len(patterns) and rig is not None and not announcements:
+        if not (problem := _fault(patterns, first)):
             yield first, rig
             return
     elif isinstance(collector, AnnouncedPatterns):
-        problem = f"the images of patterns are missing: {_named(sequence, collector.missing)}"
-    elif count < len(sequence):
-        problem = sequence_fault(sequence, [_gray(each) for each in first])
+        problem = f"the images of patterns are missing: {_named(patterns, collector.missing)}"
+    elif count < len(patterns):
+        problem = _fault(patterns, first)
     else:
         problem = (
-            f"{collector.seen} of {count} captures differ, and no {len(sequence)} of them in a row are the sequence"
+            f"{collector.seen} of {count} captures differ, and no {len(patterns)} of them in a row are the sequence"
         )
         problem += f": {collector.fault}" if collector.fault else ""
     raise ImageError(
         problem,
         subject="scan",
         value=count,
-        limit=len(sequence),
+        limit=len(patterns),
         remedy="capture every pattern once, or correct the manifest",
         settings=("patterns",),
     )
+
+
+def _fault(patterns: ShownPatterns, captures: Sequence[Capture]) -> str:
+    return patterns.fault([each[0] for each in captures])
 
 
 def _gray(capture: Capture) -> U8:
     return to_gray(capture[0])
 
 
-def _named(sequence: PatternSequence, numbers: Sequence[int]) -> str:
+def _named(patterns: ShownPatterns, numbers: Sequence[int]) -> str:
     """Patterns by number and content, the first few of them."""
     more = f" and {len(numbers) - _NAMED} more" if len(numbers) > _NAMED else ""
-    return ", ".join(f"{number} ({sequence.patterns[number]})" for number in numbers[:_NAMED]) + more
+    return ", ".join(f"{number} ({patterns.name(number)})" for number in numbers[:_NAMED]) + more
 
 
 def _only_images(reader: BagReader) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stereo_depth_ros.active.scanner import Scanner
-from stereo_depth_ros.active.structured_light.patterns import PatternSequence
+from stereo_depth_ros.active.shown_patterns import ShownPatterns
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config import PipelineConfig
@@ -64,7 +64,7 @@ class ScanSummary:
 
 def scan_captures(
     source: CaptureSource,
-    sequence: PatternSequence,
+    patterns: ShownPatterns,
     output: Path,
     config: PipelineConfig,
     *,
@@ -77,7 +77,7 @@ def scan_captures(
 
     Args:
         source: the captures.
-        sequence: what they show.
+        patterns: what they show.
         output: the bag to write.
         config: parameters of the outputs.
         settle: captures that are skipped after a change of the pattern.
@@ -93,9 +93,9 @@ def scan_captures(
     messages = ResultMessages(types)
     scanner: Scanner | None = None
     with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
-        for captures, rig in find_sequences(source.read(), sequence, source.announcements(), settle, progress):
+        for captures, rig in find_sequences(source.read(), patterns, source.announcements(), settle, progress):
             if scanner is None or scanner.rig is not rig:
-                scanner = Scanner(config, rig, sequence)
+                scanner = Scanner(config, rig, patterns)
             result = scanner.scan(captures)
             _write_infos(writer, types, rig, result.stamp_ns)
             for topic, _, build in OUTPUTS:

@@ -99,14 +99,14 @@ class ChangingPatterns(Generic[T]):
         count: patterns of the sequence.
         settle: captures that are skipped after a change; with 0 every capture is the next pattern.
         gray: the gray image of a camera in a capture, uint8 (H, W).
-        fault: why such images are not the sequence, in its order; empty where they are.
+        fault: why captures are not the sequence, in its order; empty where they are.
 
     Attributes:
         seen: patterns since the last sequence.
         fault: why the last ones are no sequence; empty where there are too few to tell.
     """
 
-    def __init__(self, count: int, settle: int, gray: Callable[[T], U8], fault: Callable[[list[U8]], str]) -> None:
+    def __init__(self, count: int, settle: int, gray: Callable[[T], U8], fault: Callable[[list[T]], str]) -> None:
         self._count = count
         self.settle = settle
         self._gray = gray
@@ -136,7 +136,7 @@ class ChangingPatterns(Generic[T]):
         if len(self._taken) < self._count:
             return None
         captures = list(self._taken)
-        self.fault = self._fault([self._gray(each) for each in captures])
+        self.fault = self._fault(captures)
         if self.fault:
             return None
         self._taken.clear()

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a projector shows during a scan: a sequence of patterns, or color stripes; read from their files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from stereo_depth_ros.active.one_shot.decoding import one_shot
+from stereo_depth_ros.active.one_shot.stripes import StripePattern, read_stripes
+from stereo_depth_ros.active.structured_light.decoding import check_sequence, decode
+from stereo_depth_ros.active.structured_light.manifest import read_manifest
+from stereo_depth_ros.active.structured_light.order import sequence_fault
+from stereo_depth_ros.active.structured_light.patterns import PatternSequence
+from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
+from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.types import U8, Frame
+from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES, read_image
+
+__all__ = ["ShownPatterns", "ShownSequence", "ShownStripes", "read_patterns"]
+
+
+class ShownPatterns(Protocol):
+    """The patterns of a scan.
+
+    Attributes:
+        best: number of the capture, from 0, that shows the scene best.
+    """
+
+    best: int
+
+    def __len__(self) -> int:
+        """Number of patterns."""
+
+    def name(self, number: int) -> str:
+        """What a pattern is, by its number from 0."""
+
+    def image(self, frame: Frame) -> U8:
+        """Of a frame, the image that is rectified and decoded: uint8 (H, W), or (H, W, 3) RGB."""
+
+    def decode(self, images: Sequence[U8]) -> ProjectorMap:
+        """The projector pixel that each pixel of the images sees, one image for each pattern."""
+
+    def fault(self, frames: Sequence[Frame]) -> str:
+        """Why the frames of one camera are not captures of the patterns; empty where nothing speaks against it."""
+
+
+class ShownSequence:
+    """A sequence of Gray code or phase patterns.
+
+    Raises:
+        ConfigError: it cannot be decoded.
+    """
+
+    def __init__(self, sequence: PatternSequence) -> None:
+        check_sequence(sequence)
+        self.sequence = sequence
+        self.best = sequence.index("white") or 0
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+    def name(self, number: int) -> str:
+        """See :class:`ShownPatterns`."""
+        return str(self.sequence.patterns[number])
+
+    def image(self, frame: Frame) -> U8:
+        """See :class:`ShownPatterns`."""
+        return to_gray(frame)
+
+    def decode(self, images: Sequence[U8]) -> ProjectorMap:
+        """See :class:`ShownPatterns`."""
+        return decode(self.sequence, images)
+
+    def fault(self, frames: Sequence[Frame]) -> str:
+        """See :class:`ShownPatterns`."""
+        return sequence_fault(self.sequence, [to_gray(frame) for frame in frames])
+
+
+class ShownStripes:
+    """One pattern of color stripes: every capture is a scan."""
+
+    best = 0
+
+    def __init__(self, pattern: StripePattern) -> None:
+        self.pattern = pattern
+
+    def __len__(self) -> int:
+        return 1
+
+    def name(self, number: int) -> str:
+        """See :class:`ShownPatterns`."""
+        return "color stripes"
+
+    def image(self, frame: Frame) -> U8:
+        """See :class:`ShownPatterns`.
+
+        Raises:
+            ImageError: the frame has no colors.
+        """
+        if frame.encoding == "mono8":
+            raise ImageError(
+                "the image is gray, color stripes need colors",
+                subject="image of color stripes",
+                value=frame.encoding,
+                limit=("rgb8", "bgr8"),
+                remedy="use a color camera, or a sequence of gray patterns",
+            )
+        return (
+            frame.pixels
+            if frame.encoding == "rgb8"
+            else np.asarray(cv2.cvtColor(frame.pixels, cv2.COLOR_BGR2RGB), np.uint8)
+        )
+
+    def decode(self, images: Sequence[U8]) -> ProjectorMap:
+        """See :class:`ShownPatterns`."""
+        return one_shot(images[0], self.pattern)
+
+    def fault(self, frames: Sequence[Frame]) -> str:
+        """See :class:`ShownPatterns`."""
+        return ""
+
+
+def read_patterns(path: Path) -> ShownPatterns:
+    """The patterns of a manifest patterns.json, or the color stripes of an image file.
+
+    Raises:
+        BagError: a file that cannot be read.
+        ConfigError: not a sequence that can be decoded.
+        ImageError: an image without color stripes.
+    """
+    if path.suffix.lower() not in IMAGE_SUFFIXES:
+        return ShownSequence(read_manifest(path))
+    pixels = read_image(path)
+    image = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB if pixels.ndim == 3 else cv2.COLOR_GRAY2RGB)
+    return ShownStripes(read_stripes(np.asarray(image, np.uint8)))
