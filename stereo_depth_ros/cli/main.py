@@ -36,6 +36,7 @@ COMMANDS: Mapping[str, str] = {
     "calibrate-laser": "Calibrate the light plane of a laser from images of its stripe on a board.",
     "rectify": "Rectify a pair of images, with or without a calibration.",
     "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
+    "patterns": "Write the patterns that a projector shows for a scan, and their manifest.",
     "scan": "Compute depth from images of projected patterns, of two cameras or of one camera and a projector.",
     "convert": "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth.",
     "evaluate": "Compare the disparities of matchers with ground truth, and measure their computing time.",
