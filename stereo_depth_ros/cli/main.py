@@ -37,6 +37,7 @@ COMMANDS: Mapping[str, str] = {
     "calibrate-projector": "Calibrate a projector and its camera from a board under patterns, in several poses.",
     "rectify": "Rectify a pair of images, with or without a calibration.",
     "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
+    "patterns": "Write the patterns that a projector shows for a scan, and their manifest.",
     "scan": "Compute depth from images of projected patterns, of two cameras or of one camera and a projector.",
     "convert": "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth.",
     "evaluate": "Compare the disparities of matchers with ground truth, and measure their computing time.",

@@ -163,8 +163,7 @@ class PatternSequence:
     patterns: tuple[Pattern, ...]
 
     def __post_init__(self) -> None:
-        for name, value in zip(("width", "height"), self.size, strict=True):
-            _check_whole(name, value, 1, MAX_SIZE_PX)
+        _check_size(self.size)
         if not 0 < len(self.patterns) <= MAX_PATTERNS:
             raise ConfigError(
                 f"a sequence has {len(self.patterns)} images, 1 to {MAX_PATTERNS} are possible",
@@ -265,6 +264,7 @@ class PatternSequence:
             ConfigError: an unknown kind, or a value out of range.
         """
         _check_choice("kind", kind, KINDS)
+        _check_size(size)
         _check_whole("steps", steps, _LEAST_STEPS, 64)
         patterns = [Pattern("white"), Pattern("black")]
         for axis, length in zip(AXES if rows else AXES[:1], size, strict=False):
@@ -293,6 +293,11 @@ def _numbered(number: int, image: object) -> Pattern:
         return Pattern.from_json(image)
     except ConfigError as error:
         raise error.about(f"image {number}") from error
+
+
+def _check_size(size: tuple[int, int]) -> None:
+    for name, value in zip(("width", "height"), size, strict=True):
+        _check_whole(name, value, 1, MAX_SIZE_PX)
 
 
 def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
