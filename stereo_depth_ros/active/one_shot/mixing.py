@@ -30,7 +30,7 @@ def color_mixing(edges: ColorEdges, labels: I32, runs: U8, pattern: StripePatter
     Returns:
         float64 (3, 3); the identity where fewer than 100 edges are known, or where they do not determine M.
     """
-    row, k = np.nonzero(runs >= 2 * pattern.window)
+    row, k = np.nonzero((runs >= 2 * pattern.window) & (labels >= 0))
     if row.size < _LEAST_EDGES:
         return np.identity(3)
     projected = pattern.changes[labels[row, k]].astype(np.float64)
