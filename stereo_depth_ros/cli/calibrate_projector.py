@@ -79,7 +79,7 @@ def calibrate(
     """Calibrate a projector and its camera from a board under patterns, in several poses.
 
     DIR has a folder for each pose of the board, which contains an image of every pattern, in the order of the numbers
-    in their names. What they show is in the manifest patterns.json, which `stereo-depth patterns` writes: in DIR for all
+    in their names. What they show is in the manifest patterns.json that `stereo-depth patterns` writes: in DIR for all
     poses, or in the folder of a pose. The patterns must code columns and rows. Ten poses are recommended; three are
     needed, or two where --camera gives the calibration of the camera. Camera and projector must not move between the
     poses, and the board must be still in each of them.
