@@ -94,14 +94,14 @@ def test_the_rig_command_reads_the_files(command_line: CommandLine, tmp_path: Pa
 def test_a_given_camera_a_manifest_of_its_own_and_poses_that_cannot_be_used(
     run: Run, tmp_path: Path, folder: Path, captures: list[list[U8]]
 ) -> None:
-    """White and black first; one pose incomplete, one without the board, in one of which the size differs."""
+    """White and black first; one pose incomplete, one without the board."""
     sequence = PatternSequence(SIZE, (*OPENCV.patterns[-2:], *OPENCV.patterns[:-2]))
     for number, images in enumerate(captures[:3]):
         shutil.rmtree(folder / f"pose{number}")
         write(folder / f"pose{number}", [*images[-2:], *images[:-2]])
     (folder / "pose3" / "0.png").unlink()
-    for path in (folder / "pose4").iterdir():
-        cv2.imwrite(str(path), np.full((240, 320), 90, np.uint8))
+    shutil.rmtree(folder / "pose4")
+    write(folder / "pose4", [cv2.resize(pattern, (320, 240)) // 2 + 20 for pattern in sequence.render()])
     (tmp_path / "manifest.json").write_text(manifest_text(sequence))
     write_camera(tmp_path / "camera.yaml", BESIDE.models[0], "camera")
     options = ("--camera", tmp_path / "camera.yaml", "--patterns", tmp_path / "manifest.json")
@@ -110,7 +110,7 @@ def test_a_given_camera_a_manifest_of_its_own_and_poses_that_cannot_be_used(
     values = json.loads(text)
     assert values["camera_known"] and values["camera"]["fx"] == {"value": 301.0, "sigma": 0.0}
     np.testing.assert_allclose(values["T_m"], BESIDE.rig[3:], atol=0.01)
-    assert "warning: pose3: skipped, it has 37 images, the sequence has 38" in err
+    assert "warning: pose3: skipped, 37 images, the sequence has 38 patterns" in err
     assert "warning: no board in 1 of 5 poses: pose4" in err
     assert values["poses"] == {"total": 5, "without": 1, "skipped": 1}
 
@@ -133,7 +133,12 @@ def test_wrong_input(run: Run, tmp_path: Path, folder: Path) -> None:
     other = (folder, "--size", "8x6", "--square", "0.04", *size)
     check_refused(run, out, other, "no board of 8x6 inner corners in 1 poses, but one of 7x5 in 1 of 1 images")
     check_refused(run, out, (folder, *BOARD, *size, "--square", "40"), "40 mm is 0.04", 2)
-    check_refused(run, out, (folder, *BOARD, "--projector-size", "1024x768"), "it has 38 images, the sequence has 42")
+    check_refused(
+        run,
+        out,
+        (folder, *BOARD, "--projector-size", "1024x768"),
+        "pose0: skipped, 38 images, the sequence has 42 patterns",
+    )
     columns = PatternSequence(SIZE, OPENCV.patterns[:18])
     (folder / MANIFEST).write_text(manifest_text(columns))
     check_refused(run, out, (folder, *BOARD), "pose0: the patterns do not code rows, a projector is calibrated by")

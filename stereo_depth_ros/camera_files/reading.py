@@ -8,17 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-import numpy as np
-
-from stereo_depth_ros.camera_files.assembling import no_size, rig_of
+from stereo_depth_ros.camera_files.assembling import rig_of
 from stereo_depth_ros.camera_files.documents import read_documents
 from stereo_depth_ros.camera_files.formats import read_document
 from stereo_depth_ros.camera_files.stored import Size, StoredFile
-from stereo_depth_ros.core.camera import CameraModel, check_intrinsics
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.rig import StereoRig
 
-__all__ = ["is_rig_folder", "read_camera_file", "read_rig_files", "rig_file_paths"]
+__all__ = ["is_rig_folder", "read_rig_files", "rig_file_paths"]
 
 _REMEDY = "give the files of the left and of the right camera, one file with both, or their folder"
 # Files of a rig in a folder; the first that are all there are read.
@@ -53,35 +50,6 @@ def read_rig_files(
         CalibrationError: files that are not there, of no known format, or not those of a stereo rig.
     """
     return rig_of([file for _, file in _read(paths)], size, sizes)
-
-
-def read_camera_file(path: Path, size: Size | None = None) -> CameraModel:
-    """The raw camera of a calibration file, of any format in :data:`FORMATS`: K, D and size, not rectified.
-
-    Args:
-        path: a file that holds one camera.
-        size: of the images, px, for files that do not state it.
-
-    Raises:
-        CalibrationError: a file that is not there, of no known format, or that does not hold one camera.
-    """
-    cameras = [camera for file in _read_file(path) for camera in file.cameras]
-    if len(cameras) != 1:
-        raise CalibrationError(
-            f"holds {len(cameras) or 'no'} cameras, one is needed",
-            subject=str(path),
-            value=len(cameras),
-            limit=1,
-            remedy="give the file of one camera, such as the left.yaml that `stereo-depth calibrate` writes",
-        )
-    camera = cameras[0]
-    width, height = camera.size or size or (0, 0)
-    if not width:
-        raise no_size(str(path))
-    bare = np.identity(4)[:3]
-    model = CameraModel(width, height, camera.distortion_model, camera.K, camera.D, np.identity(3), bare)
-    check_intrinsics(model, str(path))
-    return model
 
 
 def rig_file_paths(paths: Sequence[Path]) -> list[Path]:

@@ -13,10 +13,11 @@ import typer
 
 from stereo_depth_ros.active.light_stripe.plane_calibration import PlaneCalibration, calibrate_plane
 from stereo_depth_ros.active.light_stripe.plane_file import write_plane
-from stereo_depth_ros.calibration.board_options import BOARDS, create_board, parse_board_size
+from stereo_depth_ros.calibration.board_options import parse_board_size
 from stereo_depth_ros.calibration.view_finder import first_of
 from stereo_depth_ros.camera_files.one_camera import read_camera
-from stereo_depth_ros.cli.given import given_parameters, refuse_ignored
+from stereo_depth_ros.cli.boards import BoardKind, BoardSize, Dictionary, Marker, Spacing, Square, board_maker
+from stereo_depth_ros.cli.given import given_parameters
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
 from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, warn
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
@@ -43,32 +44,16 @@ def calibrate_laser(
     places: Annotated[
         list[Path], typer.Argument(metavar="DIR...", help="Read the images of these folders, or these images.")
     ],
-    size: Annotated[str, typer.Option(metavar="9x6", help="Set the columns x rows of inner corners, squares or tags.")],
-    square: Annotated[
-        float, typer.Option(metavar="METERS", help="Set the side of a square, or of a tag of an aprilgrid.")
-    ],
+    size: BoardSize,
+    square: Square,
     camera: Annotated[Path, typer.Option(metavar="FILE", help="Take the calibration of the camera from this file.")],
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="OUT.yaml", help="Write the light plane to this file.")
     ],
-    board: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME", help=f"Look for this board: {', '.join(BOARDS)}.", autocompletion=lambda: [*BOARDS]
-        ),
-    ] = "chessboard",
-    marker: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METERS", help="Set the side of a marker of a ChArUco board; the default is 3/4 of a square."
-        ),
-    ] = None,
-    dictionary: Annotated[
-        str, typer.Option(metavar="NAME", help="Set the dictionary of the markers of a ChArUco board.")
-    ] = "DICT_4X4_50",
-    spacing: Annotated[
-        float, typer.Option(metavar="RATIO", help="Set the gap between the tags of an aprilgrid, relative to a tag.")
-    ] = 0.3,
+    board: BoardKind = "chessboard",
+    marker: Marker = None,
+    dictionary: Dictionary = "DICT_4X4_50",
+    spacing: Spacing = 0.3,
     margin: Annotated[
         float | None,
         typer.Option(
@@ -98,17 +83,10 @@ def calibrate_laser(
       stereo-depth calibrate-laser boards --size 8x6 --square 0.04 --camera camera.yaml -o laser.yaml \\
         --param stripe_channel:=red_excess
     """
-    if board != "charuco":
-        refuse_ignored(
-            context, ("marker", "dictionary"), f"with --board {board}", "leave it out, or add --board charuco"
-        )
-    if board != "aprilgrid":
-        refuse_ignored(context, ["spacing"], f"with --board {board}", "leave it out, or add --board aprilgrid")
+    board_of_size = board_maker(context, board, square, marker, dictionary, spacing)
     config = stripe_config(param)
     require_yaml("--output", output)
-    sought = create_board(
-        board, parse_board_size(size), square, marker_m=marker, dictionary=dictionary, spacing=spacing
-    )
+    sought = board_of_size(parse_board_size(size))
     paths, image = numbered_images(places), output.with_suffix(".png")
     check_outputs([output, image], [*paths, camera], reports=[json_file], overwrite=overwrite)
     height, width = read_image(paths[0]).shape[:2]

@@ -17,7 +17,7 @@ from stereo_depth_ros.active.projector.result import ProjectorCalibration
 from stereo_depth_ros.calibration.board_options import parse_board_size
 from stereo_depth_ros.calibration.calibration_files import calibration_files
 from stereo_depth_ros.calibration.view_finder import first_of
-from stereo_depth_ros.camera_files.reading import read_camera_file
+from stereo_depth_ros.camera_files.one_camera import read_camera
 from stereo_depth_ros.cli.boards import BoardKind, BoardSize, Dictionary, Marker, Spacing, Square, board_maker
 from stereo_depth_ros.cli.calibrate_tables import cameras_table, views_table
 from stereo_depth_ros.cli.camera_info import parse_size
@@ -54,7 +54,7 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="1024x768",
-            help="Without patterns.json: the images are OpenCV's Gray code for a projector of this size.",
+            help="Read the images as OpenCV's Gray code for a projector of this size, without patterns.json.",
         ),
     ] = None,
     camera: Annotated[
@@ -78,13 +78,14 @@ def calibrate(
 ) -> None:
     """Calibrate a projector and its camera from a board under patterns, in several poses.
 
-    DIR holds a folder for each pose of the board, each with one image of every pattern, in the order of their names.
-    patterns.json, which `stereo-depth patterns` writes, states what they show: in DIR for all poses, or in the folder
-    of a pose. The patterns code columns and rows. Ten poses are recommended, three are needed, and two where --camera
-    gives the calibration of the camera. In each, camera and projector must be as they are in use, and the board still.
+    DIR has a folder for each pose of the board, which contains an image of every pattern, in the order of the numbers
+    in their names. What they show is in the manifest patterns.json that `stereo-depth patterns` writes: in DIR for all
+    poses, or in the folder of a pose. The patterns must code columns and rows. Ten poses are recommended; three are
+    needed, or two where --camera gives the calibration of the camera. Camera and projector must not move between the
+    poses, and the board must be still in each of them.
 
-    Without patterns.json, --projector-size reads the Gray code of OpenCV's GrayCodePattern: columns, then rows, each
-    bit followed by its inverse, with white and black before or after them.
+    Without patterns.json, --projector-size reads the Gray code of OpenCV's GrayCodePattern: it has columns, then rows,
+    each bit followed by its inverse, with white and black before or after them.
 
     The output folder receives left.yaml, the camera, and right.yaml, the projector as a camera of the same size, which
     every command reads as a rig; calibration.json and calibration.txt with the standard deviation of each parameter,
@@ -105,7 +106,7 @@ def calibrate(
     sought = board_of_size(parse_board_size(size))
     if output.exists() and not output.is_dir():
         raise OutputError("is not a folder", subject=str(output), remedy="name a folder", settings=("output",))
-    known = None if camera is None else read_camera_file(camera)
+    known = None if camera is None else read_camera(camera)
     folders = pose_folders(place, patterns, parse_size(projector_size))
     coverage = output / "coverage.png"
     inputs = [path for path in (patterns, camera) if path is not None] + [

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from stereo_depth_ros.active.projector.board_points import board_in_projector
 from stereo_depth_ros.active.projector.raster import Size
 from stereo_depth_ros.active.structured_light.decoding import decode
 from stereo_depth_ros.active.structured_light.manifest import MANIFEST, read_manifest
+from stereo_depth_ros.active.structured_light.order import sequence_fault
 from stereo_depth_ros.active.structured_light.patterns import AXES, Pattern, PatternSequence
 from stereo_depth_ros.calibration.board_views import BoardView
 from stereo_depth_ros.calibration.boards import Board
@@ -23,6 +23,7 @@ from stereo_depth_ros.core.errors import BagError, CalibrationError, ConfigError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.datasets.image_files import list_images, read_image
+from stereo_depth_ros.datasets.image_pairs import numbered_images
 
 __all__ = ["FoundPoses", "PoseFolder", "find_poses", "pose_folders"]
 
@@ -83,7 +84,7 @@ def pose_folders(place: Path, patterns: Path | None = None, projector_size: Size
         raise BagError(
             problem, subject=str(place), remedy="name the folder that holds a folder of images for each pose"
         )
-    folders = sorted((path for path in place.iterdir() if path.is_dir() and list_images(path)), key=_natural)
+    folders = sorted(path for path in place.iterdir() if path.is_dir() and list_images(path))
     if not folders:
         alone = bool(list_images(place))
         raise BagError(
@@ -154,7 +155,7 @@ def find_poses(
 
 
 def _pose_folder(folder: Path, place: Path, patterns: Path | None, projector_size: Size | None) -> PoseFolder:
-    images = tuple(sorted(list_images(folder), key=_natural))
+    images = tuple(numbered_images(folder))
     near = (folder / MANIFEST, place / MANIFEST)
     manifest = patterns or next((path for path in near if path.is_file()), None)
     if manifest is not None:
@@ -189,12 +190,6 @@ def _difference(white: Path, black: Path) -> float:
     return float(read_image(white).mean() - read_image(black).mean())
 
 
-def _natural(path: Path) -> tuple[tuple[int, str], ...]:
-    """A key by which 10.png follows 9.png."""
-    words = re.split(r"(\d+)", path.name)
-    return tuple((int(word), "") if word.isdecimal() else (-1, word) for word in words)
-
-
 def _check_axes(pose: PoseFolder) -> None:
     if missing := [axis for axis in AXES if axis not in pose.sequence.axes]:
         raise ImageError(
@@ -207,23 +202,15 @@ def _check_axes(pose: PoseFolder) -> None:
 
 
 def _read(pose: PoseFolder) -> list[U8]:
-    if len(pose.images) != len(pose.sequence):
-        raise ImageError(
-            f"it has {len(pose.images)} images, the sequence has {len(pose.sequence)}",
-            value=len(pose.images),
-            limit=len(pose.sequence),
-            remedy="capture all patterns",
-        )
+    """The images, gray.
+
+    Raises:
+        BagError: an image that cannot be read.
+        ImageError: they are not the sequence.
+    """
     images = [_gray(read_image(path)) for path in pose.images]
-    for path, image in zip(pose.images, images, strict=True):
-        if image.shape != images[0].shape:
-            raise ImageError(
-                f"{path.name} is {image.shape[1]}x{image.shape[0]}, {pose.images[0].name} is "
-                f"{images[0].shape[1]}x{images[0].shape[0]}",
-                value=image.shape,
-                limit=images[0].shape,
-                remedy="capture a sequence at one resolution",
-            )
+    if fault := sequence_fault(pose.sequence, images):
+        raise ImageError(fault, value=len(images), limit=len(pose.sequence), remedy="capture every pattern once")
     return images
 
 
