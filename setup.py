@@ -16,6 +16,7 @@ NODES = (
     "stereo_depth_node",
     "feature_node",
     "view_node",
+    "light_stripe_node",
     "calibration_monitor",
     "calibration_node",
     "structured_light_node",

@@ -35,6 +35,7 @@ COMMANDS: Mapping[str, str] = {
     "calibrate": "Calibrate both cameras and the rig from image pairs of a calibration board.",
     "calibrate-laser": "Calibrate the light plane of a laser from images of its stripe on a board.",
     "calibrate-projector": "Calibrate a projector and its camera from a board under patterns, in several poses.",
+    "calibrate-turntable": "Calibrate the axis of a turntable from images of markers or of a board on it.",
     "rectify": "Rectify a pair of images, with or without a calibration.",
     "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
     "patterns": "Write the patterns that a projector shows for a scan, and their manifest.",

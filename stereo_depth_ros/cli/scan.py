@@ -16,9 +16,10 @@ from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
-from stereo_depth_ros.cli.given import given_parameters
+from stereo_depth_ros.cli.given import given_parameters, refuse_ignored
 from stereo_depth_ros.cli.options import BagOutput, Json, Overwrite, Params, new_app
 from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, tell
+from stereo_depth_ros.cli.scan_stripe import MOVING, StripeScanOptions, scan_stripe
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.errors import ConfigError
@@ -32,13 +33,27 @@ __all__ = ["app"]
 
 app = new_app()
 
+_KINDS = ("patterns", "stripe")
+_STRIPE_OPTIONS = (
+    *("laser", "motion", "motion_topic", "joint", "step", "turntable", "linear_axis", "moving", "ambient", "ply"),
+)
+
 
 @app.command(cls=CommandWithCameraInfo)
 def scan(
+    context: typer.Context,
     place: Annotated[
         Path, typer.Argument(metavar="BAG|DIR", help="Read the captures of this bag, or of this folder of images.")
     ],
     output: BagOutput,
+    kind: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help=f"Look for this light: {', '.join(_KINDS)}.",
+            autocompletion=lambda: [*_KINDS],
+        ),
+    ] = "patterns",
     patterns: Annotated[
         Path | None,
         typer.Option(
@@ -67,6 +82,43 @@ def scan(
     settle: Annotated[
         int, typer.Option(min=0, max=100, metavar="N", help="Skip this number of images after each change of pattern.")
     ] = 1,
+    laser: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Read the light plane of a stripe from this file.")
+    ] = None,
+    motion: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Read the motion of object, sensor or stripe from this table."),
+    ] = None,
+    motion_topic: Annotated[
+        str | None,
+        typer.Option(metavar="TOPIC", help="Read the motion from this topic of the bag: JointState or PoseStamped."),
+    ] = None,
+    joint: Annotated[
+        str, typer.Option(metavar="NAME", help="Read this joint of the motion topic; the first one by default.")
+    ] = "",
+    step: Annotated[
+        float | None,
+        typer.Option(metavar="MM|DEGREES", help="Take equal steps of the motion from image to image."),
+    ] = None,
+    turntable: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Read the axis of a turntable from this file.")
+    ] = None,
+    linear_axis: Annotated[
+        str | None,
+        typer.Option(metavar='"X Y Z"', help="Set the direction of a linear motion, in the frame of the camera."),
+    ] = None,
+    moving: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help=f"Set what moves: {', '.join(MOVING)}; the sensor is camera and laser, the plane the light alone.",
+            autocompletion=lambda: [*MOVING],
+        ),
+    ] = "object",
+    ambient: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Subtract this image without the stripe from all images.")
+    ] = None,
+    ply: Annotated[Path | None, typer.Option(metavar="FILE.ply", help="Write the merged points to this file.")] = None,
     param: Params = None,
     preview: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write the image and the depth of the first scan as a PNG.")
@@ -74,18 +126,63 @@ def scan(
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Compute depth from images of projected patterns, of two cameras or of one camera and a projector.
+    """Compute depth from images of projected light: of patterns, or of a light stripe.
 
-    The images of a folder are in the order of the manifest, which `stereo-depth patterns` writes; for two cameras they
-    are named as for `stereo-depth convert images`. In a bag the patterns are those that /scan/shown announces; without
-    it they are found by their changes. With color stripes every capture is a scan of its own.
+    With --kind patterns, images of two cameras, or of one camera and a projector, are matched by their codes. The
+    images of a folder are in the order of the manifest, which `stereo-depth patterns` writes; for two cameras they are
+    named as for `stereo-depth convert images`. In a bag the patterns are those that /scan/shown announces; without it
+    they are found by their changes. With color stripes every capture is a scan of its own.
+
+    With --kind stripe, each image has one profile, on the light plane of --laser (of one camera), by the disparities of
+    two cameras (--camera-info LEFT RIGHT), or by both. The motion between the images is that of a table, of a topic, or
+    of equal --step. In a table, the first column is image (a file name) or stamp_s, the others are position_m,
+    position_mm, angle_deg, angle_rad, or x,y,z,qx,qy,qz,qw. The axis of an angle is that of --turntable, the direction
+    of a position is --linear-axis. The bag receives the cloud of each profile and the merged cloud.
 
     \b
     Examples:
       stereo-depth scan captures -o scan.mcap --patterns patterns/patterns.json --camera-info left.yaml right.yaml
       stereo-depth scan drive.mcap -o scan.mcap --patterns stripes.png
       stereo-depth scan captures -o scan.mcap --projector --camera-info camera.yaml projector.yaml --preview scan.png
+      stereo-depth scan images -o scan.mcap --kind stripe --laser laser.yaml --turntable turntable.yaml --step 1.125 \\
+        --ply scan.ply --preview scan.png --param stripe_max_depth:=0.5
     """
+    if kind not in _KINDS:
+        raise ConfigError(
+            f"kind {kind!r} is not one of {', '.join(_KINDS)}", value=kind, limit=_KINDS, settings=("kind",)
+        )
+    if moving not in MOVING:
+        raise ConfigError(
+            f"moving {moving!r} is not one of {', '.join(MOVING)}", value=moving, limit=MOVING, settings=("moving",)
+        )
+    if kind == "stripe":
+        refuse_ignored(context, ("patterns", "projector", "settle"), "with --kind stripe", "leave it out")
+        scan_stripe(
+            StripeScanOptions(
+                place,
+                output,
+                laser,
+                tuple(camera_info or ()),
+                left,
+                right,
+                side_by_side,
+                motion,
+                motion_topic,
+                joint,
+                step,
+                turntable,
+                linear_axis,
+                moving,
+                ambient,
+                tuple(param or ()),
+                ply,
+                preview,
+                json_file,
+                overwrite,
+            )
+        )
+        return
+    refuse_ignored(context, _STRIPE_OPTIONS, "with --kind patterns", "add --kind stripe, or leave it out")
     manifest = patterns or _manifest_beside(place)
     source = CaptureSource(
         BagSelection(place, left, right, side_by_side=side_by_side, camera_files=tuple(camera_info or ())), projector

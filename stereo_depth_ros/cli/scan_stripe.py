@@ -48,7 +48,9 @@ from stereo_depth_ros.offline.stripe_scan import (
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.stripe_scan import stripe_scan_plot
 
-__all__ = ["StripeScanOptions", "scan_stripe"]
+__all__ = ["MOVING", "StripeScanOptions", "scan_stripe"]
+
+MOVING = ("object", "sensor", "plane")
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def scan_stripe(options: StripeScanOptions) -> None:
     further = [path for path in (o.ply, o.preview) if path is not None]
     check_bag_output(o.output, inputs, reports=[o.json_file], overwrite=o.overwrite)
     check_outputs(further, inputs, overwrite=o.overwrite)
-    table = _table(o)
+    table, pose_frame = _table(o)
     motion = _motion(o, table)
     plane = None if o.laser is None else read_plane(o.laser)
     prepare_kernels()
@@ -127,7 +129,7 @@ def scan_stripe(options: StripeScanOptions) -> None:
             scanner,
             value_of,
             o.output,
-            merged_frame="",
+            pose_frame=pose_frame,
             overwrite=o.overwrite,
             progress=lambda done: progress(done, max(count, done)),
         )
@@ -177,15 +179,15 @@ def _check(o: StripeScanOptions, of_bag: bool) -> None:
         raise ConfigError("--step needs an axis", remedy="give --turntable turntable.yaml or --linear-axis '1 0 0'")
 
 
-def _table(o: StripeScanOptions) -> MotionTable | None:
-    """The motion of a table or a topic."""
+def _table(o: StripeScanOptions) -> tuple[MotionTable | None, str]:
+    """The motion of a table or a topic, and the frame of its poses."""
     if o.motion is not None:
-        return read_motion_table(o.motion)
+        return read_motion_table(o.motion), ""
     if o.motion_topic is None:
-        return None
-    kind, track = bag_motion(o.place, o.motion_topic, o.joint)
+        return None, ""
+    kind, track, frame_id = bag_motion(o.place, o.motion_topic, o.joint)
     of_joint = "turntable" if o.turntable is not None else "linear"
-    return MotionTable("pose" if kind == "pose" else of_joint, track=track)
+    return MotionTable("pose" if kind == "pose" else of_joint, track=track), frame_id
 
 
 def _motion(o: StripeScanOptions, table: MotionTable | None) -> StripeMotion:

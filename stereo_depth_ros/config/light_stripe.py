@@ -58,6 +58,13 @@ class LightStripeConfig(Checked):
     min_plane_angle: float = parameter(
         2.0, "Angle between ray and light plane below which a point is rejected.", low=0.0, high=45.0, unit="deg"
     )
+    max_axis_distance: float = parameter(
+        0.0,
+        "Distance from the axis of a turntable above which a point is rejected; 0 means no limit.",
+        low=0.0,
+        high=1000.0,
+        unit="m",
+    )
     stripe_agreement: float = parameter(
         1.0,
         "Largest difference in disparity between light plane and second camera, where both give a point.",

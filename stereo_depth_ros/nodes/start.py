@@ -16,6 +16,7 @@ __all__ = [
     "disparity_node",
     "end_at_once",
     "feature_node",
+    "light_stripe_node",
     "point_cloud_node",
     "rectify_node",
     "replay_node",
@@ -43,6 +44,7 @@ calibration_node = functools.partial(_start, "calibration_node")
 depth_node = functools.partial(_start, "depth_node")
 disparity_node = functools.partial(_start, "disparity_node")
 feature_node = functools.partial(_start, "feature_node")
+light_stripe_node = functools.partial(_start, "light_stripe_node")
 point_cloud_node = functools.partial(_start, "point_cloud_node")
 rectify_node = functools.partial(_start, "rectify_node")
 replay_node = functools.partial(_start, "replay_node")

@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from stereo_depth_ros.active.light_stripe.motion import MotionTrack
+from stereo_depth_ros.active.light_stripe.motion import MotionTrack, StripeMotion
 from stereo_depth_ros.active.light_stripe.motion_table import MotionTable
 from stereo_depth_ros.active.light_stripe.scanner import MergedCloud, ScannedProfile
 from stereo_depth_ros.active.light_stripe.stripe_messages import (
@@ -26,6 +26,7 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagMessage, BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.core.errors import BagError, MessageError, StereoDepthError, TopicError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64, Frame, StereoPair
 from stereo_depth_ros.datasets.image_files import framed, image_frame, read_pair
@@ -54,6 +55,8 @@ Capture: TypeAlias = tuple[str, Callable[[], Any]]
 
 
 class _Scanner(Protocol):
+    motion: StripeMotion
+
     def scan(self, frame: Any, value: F64 | None) -> ScannedProfile: ...
 
 
@@ -125,21 +128,32 @@ def _decoded(reader: BagReader, message: BagMessage) -> Frame:
     return decode(reader.deserialize(message), message.topic)
 
 
-def bag_motion(path: Path, topic: str | None, joint: str) -> tuple[str, MotionTrack]:
-    """Kind ("joint" or "pose") and values of a motion topic of a bag; None takes the only one.
+def bag_motion(path: Path, topic: str | None, joint: str) -> tuple[str, MotionTrack, str]:
+    """Kind ("joint" or "pose"), values and frame of a motion topic of a bag; None takes the only one.
 
     Raises:
         TopicError: no motion topic of that name, or several without a name.
         MessageError: a message without the joint, or with values that are not finite.
     """
-    track = MotionTrack()
+    track, frame_id = MotionTrack(), ""
     with BagReader(path) as reader:
         chosen = _topic(reader, topic, _MOTIONS, "motion", "motion_topic")
         is_joint = reader.topics[chosen].msgtype == _MOTIONS[0]
         for message in reader.messages([chosen]):
             found = reader.deserialize(message)
+            if is_joint and joint and joint not in found.name:
+                continue  # other publishers have other joints
+            frame_id = str(found.header.frame_id)
             track.add(*(joint_value(found, joint, chosen) if is_joint else pose_value(found, chosen)))
-    return "joint" if is_joint else "pose", track
+    if not len(track):
+        raise TopicError(
+            f"{chosen} holds no joint {quoted(joint)}",
+            subject=str(path),
+            value=joint,
+            remedy="name one of its joints",
+            settings=("joint", "motion_joint"),
+        )
+    return "joint" if is_joint else "pose", track, frame_id
 
 
 def _topic(reader: BagReader, topic: str | None, kinds: tuple[str, ...], what: str, setting: str) -> str:
@@ -177,7 +191,7 @@ def scan_stripes(
     value_of: Callable[[str, int, int], F64 | None],
     output: Path,
     *,
-    merged_frame: str = "",
+    pose_frame: str = "",
     metadata: Mapping[str, str] | None = None,
     overwrite: bool = False,
     progress: Callable[[int], object] = lambda done: None,
@@ -189,7 +203,7 @@ def scan_stripes(
         scanner: makes the profiles.
         value_of: value of the motion by name, stamp and number of a capture; None where it is not known.
         output: the bag, ``.mcap``: stripe/points2, and at its end stripe/merged, latched.
-        merged_frame: frame of the merged cloud; empty for that of the images.
+        pose_frame: frame of the poses of the motion.
         metadata: names and values that are written into the bag.
         overwrite: replace a file that is there.
         progress: called with the number of captures done.
@@ -216,7 +230,7 @@ def scan_stripes(
                     raise error.about(name) from error
                 result.skipped.append(f"{name}: skipped, {error}")
                 continue
-            last = profile.stamp_ns, merged_frame or profile.frame_id
+            last = profile.stamp_ns, scanner.motion.merged_frame(profile.frame_id, pose_frame)
             result.cloud.add(profile)
             bag.write(f"/{PROFILE_TOPIC}", profile_message(types, profile), profile.stamp_ns)
             if len(profile.found.lines):

@@ -93,6 +93,12 @@ class StripeMotion:
             to_merged = np.linalg.inv(to_camera) @ to_merged
         return np.asarray(points_m @ to_merged[:3, :3].T + to_merged[:3, 3], np.float64)
 
+    def merged_frame(self, image_frame: str, pose_frame: str = "") -> str:
+        """Name of the frame of the merged cloud: of the images, or of poses of the sensor, or the object's own one."""
+        if self.kind != "pose" or self.moving == "plane":
+            return image_frame
+        return "scanned_object" if self.moving == "object" else pose_frame or image_frame
+
 
 def turn(turntable: Turntable, angle_rad: float) -> F64:
     """Rotation by an angle about the axis of a turntable, float64 (4, 4) (Rodrigues 1840)."""

@@ -23,7 +23,7 @@ class StripeReason(enum.IntFlag):
     SATURATED = 4  # saturated over more than the width of the stripe: its center is not seen
     WIDE = 8  # wider than three times the expected width, or nearly along the line
     GRAZING = 16  # the ray is nearly parallel to the light plane
-    RANGE = 32  # outside the depth range, or not in front of the camera
+    RANGE = 32  # outside the depth range, not in front of the camera, or too far from the axis of a turntable
     DISAGREEMENT = 64  # light plane and second camera give different points
 
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from stereo_depth_ros.active.light_stripe.extraction import StripeExtractor
 from stereo_depth_ros.active.light_stripe.light_plane import LightPlane, ProfilePoints, profile_points, search_range
 from stereo_depth_ros.active.light_stripe.motion import StripeMotion
+from stereo_depth_ros.active.light_stripe.profile import StripeReason
 from stereo_depth_ros.active.light_stripe.two_cameras import stereo_points
 from stereo_depth_ros.config import LightStripeConfig
 from stereo_depth_ros.core.camera import CameraModel
@@ -84,6 +85,7 @@ class StripeScanner:
         if self.motion.moving == "plane":
             search = search_range(self._camera, plane, self._config)
         found = profile_points(self._extractor.extract(frame, search), self._camera, plane, self._config)
+        found = _near_axis(found, self.motion, self._config.max_axis_distance)
         return ScannedProfile(frame.stamp_ns, frame.frame_id, found, self.motion.merged(found.points_m, motion))
 
 
@@ -126,6 +128,7 @@ class StereoStripeScanner:
         left = self._left.extract(_rectified(pair.left, self._rectifier.rectify_left(pair.left.pixels)))
         right = self._right.extract(_rectified(pair.right, self._rectifier.rectify_right(pair.right.pixels)))
         found = stereo_points(left, right, self._triangulation, self._config, plane)
+        found = _near_axis(found, self.motion, self._config.max_axis_distance)
         merged_m = self.motion.merged(found.points_m, motion)
         return ScannedProfile(pair.left.stamp_ns, pair.left.frame_id, found, merged_m)
 
@@ -168,6 +171,24 @@ class MergedCloud:
             np.concatenate([profile.found.level for profile in self._profiles]).astype(np.float32),
             np.concatenate([profile.found.sigma_m for profile in self._profiles]).astype(np.float32),
         )
+
+
+def _near_axis(found: ProfilePoints, motion: StripeMotion, limit_m: float) -> ProfilePoints:
+    """Without the points that are farther from the axis of a turntable."""
+    if motion.turntable is None or not limit_m:
+        return found
+    rotation = np.identity(3) if motion.rotation is None else motion.rotation
+    offsets = found.points_m @ rotation - motion.turntable.point_m
+    near = np.linalg.norm(np.cross(offsets, motion.turntable.axis), axis=1) <= limit_m
+    far = np.zeros(len(found.profile.reasons), bool)
+    far[found.lines[~near]] = True
+    return ProfilePoints(
+        found.profile.rejected(far, StripeReason.RANGE),
+        found.lines[near],
+        found.points_m[near],
+        found.sigma_m[near],
+        found.level[near],
+    )
 
 
 def _check_size(frame: Frame, camera: CameraModel) -> None:

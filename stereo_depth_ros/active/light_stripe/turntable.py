@@ -186,6 +186,7 @@ class _TableBundle:
         motions = self._motions(candidates)
         table = axis_from_poses(motions)
         angles = np.array([_angle_about(table.axis, motion[:3, :3]) for motion in motions])
+        angles[0] = 0.0
         if angles_rad is not None:
             same, opposite = (float(np.cos(angles - sign * angles_rad).sum()) for sign in (1, -1))
             if opposite > same:
