@@ -24,7 +24,7 @@ VERSION = ElementTree.parse(ROOT / "package.xml").findtext("version")
 NODES = {
     *("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node"),
     *("feature_node", "view_node", "calibration_monitor", "health_node", "calibration_node", "replay_node"),
-    "structured_light_node",
+    *("structured_light_node", "light_stripe_node"),
 }
 NOT_SOURCE = (".git", ".venv*", "build", "install", "log", "out", "__pycache__", "*.egg-info", ".*_cache")
 

@@ -58,7 +58,7 @@ def scan(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help=f"Read the patterns from this manifest, or color stripes from an image; the default is DIR/{MANIFEST}.",
+            help=f"Read the patterns from this manifest, or color stripes from an image; default is DIR/{MANIFEST}.",
         ),
     ] = None,
     camera_info: CameraInfo = None,
