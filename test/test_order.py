@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from projected_views import slanted_view
 
 from stereo_depth_ros.active.structured_light.order import sequence_fault
 from stereo_depth_ros.active.structured_light.patterns import Pattern, PatternSequence
@@ -118,7 +120,7 @@ REAL = {
     "head": (
         "active/b_fringe_3freq_cfpe_david",
         "*.bmp",
-        [each for period_px in (42, 45, 48) for each in steps("columns", period_px, 1)],
+        [each for period_px in (42, 45, 48) for each in steps("columns", period_px, -1)],
     ),
 }
 
@@ -132,3 +134,38 @@ def test_real_captures(name: str, stereo_data: Path) -> None:
     assert sequence_fault(own, images) == ""
     exchanged = [*images[:4], images[6], images[5], images[4], *images[7:]]
     assert sequence_fault(own, exchanged)
+
+
+def turned(sequence: PatternSequence, sign: float = 1.0, shift_deg: float = 0.0) -> PatternSequence:
+    """The same images, described with other shifts of the sinusoids."""
+    patterns = (
+        replace(p, shift_deg=sign * p.shift_deg + shift_deg) if p.role == "phase" else p for p in sequence.patterns
+    )
+    return replace(sequence, patterns=tuple(patterns))
+
+
+@pytest.mark.parametrize("kind", ["phase", "gray+phase"])
+def test_three_steps_that_are_exchanged_or_described_wrongly(kind: str) -> None:
+    """Three steps fit every sinusoid: the Gray code or the other periods tell."""
+    size = (200, 150)
+    steps = PatternSequence.of_kind(kind, size, steps=3, periods_px=(18.0, 21.0, 25.0)[: 3 if kind == "phase" else 1])
+    images = slanted_view(120, 90, noise=1.0).images(steps)
+    assert sequence_fault(steps, images) == ""
+    assert "wrong sign" in (fault := sequence_fault(turned(steps, -1), images)) or "shifts of the manifest" in fault
+    for number in range(len(steps) - 3, len(steps) - 1):
+        exchanged = [*images[:number], images[number + 1], images[number], *images[number + 2 :]]
+        assert "steps are exchanged" in sequence_fault(steps, exchanged), number
+    if kind == "gray+phase":
+        assert "0.33 periods off the Gray code" in sequence_fault(turned(steps, 1, 120.0), images)
+
+
+def test_a_bit_that_is_shown_twice_is_named() -> None:
+    size = (200, 150)
+    gray = PatternSequence.of_kind("gray", size)
+    images = slanted_view(120, 90, blur_px=2.0).images(gray)
+    assert sequence_fault(gray, images) == ""
+    for number in range(5, 11):  # the finer bits are not resolved
+        doubled = [*images[:number], images[number - 1], *images[number + 1 :]]
+        assert f"image {number} (" in sequence_fault(gray, doubled) or f"image {number + 1} (" in sequence_fault(
+            gray, doubled
+        )

@@ -10,8 +10,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.active.structured_light.decoding import decode
 from stereo_depth_ros.active.structured_light.patterns import Pattern, PatternSequence
-from stereo_depth_ros.core.types import F32, U8
+from stereo_depth_ros.active.structured_light.phase import wave_of_images
+from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.types import F32, U8, Reason
 
 __all__ = ["sequence_fault"]
 
@@ -29,6 +33,10 @@ _MORE = 1.3
 _FINEST = 2  # of the bits that are resolved
 _JUMPS = 0.35  # of the steps of a code: depth edges are fewer, and one wrong bit makes half of them jumps
 _NEAR_PX = 4
+_DOUBLED = 0.05  # share of the pixels
+_OFF_MIDDLE = 0.12  # of white - black, what tells 0 from 1 in an image that is blurred
+_DOUBTFUL = 0.5  # share of the pixels
+_APART = 0.2  # periods; a Gray code is within a quarter, most of it much nearer, a wrong phase anywhere
 _NAMED = 4  # candidates, of more none is named
 _SPREAD = 0.3  # of the amplitude of a sinusoid relative to white - black, over the pixels: quartile to quartile
 
@@ -38,8 +46,9 @@ def sequence_fault(sequence: PatternSequence, images: Sequence[U8]) -> str:
 
     What is checked where the sequence has it: white is the brightest image and black the darkest; an image of a Gray
     code is as bright as either at every pixel, and an image and its inverse together as both (light adds up); finer
-    bits change more often, and the coarse ones decode to regions without large jumps; the steps of a sinusoid follow
-    it, and differ from each other. One image too few or too many is found by trying which one it is.
+    bits change more often, the coarse ones decode to regions without large jumps, and no two of them are the same; the
+    steps of a sinusoid follow it, differ from each other, and give the place that the Gray code or the other periods
+    give. One image too few or too many is found by trying which one it is.
 
     Args:
         sequence: the patterns in their order.
@@ -94,9 +103,9 @@ class _Capture:
         return next((text for text in self._faults() if text), "")
 
     def _faults(self) -> list[str]:
-        checks = [self._white_and_black()]
+        checks = [self._white_and_black(), self._doubled()]
         for axis in self._sequence.axes:
-            if checks[-1]:
+            if any(checks):
                 break
             lit = self._lit(axis)
             if np.count_nonzero(lit) < _LEAST_LIT * lit.size:
@@ -104,6 +113,8 @@ class _Capture:
             gray, phase = self._sequence.coded("gray", axis), self._sequence.coded("phase", axis)
             checks += [self._binary(axis, gray, lit), self._order_of_bits(axis, gray, lit)] if gray else []
             checks += [self._sinusoids(axis, phase, lit)] if phase else []
+            if phase and not any(checks):
+                checks.append(self._places(axis))
         return checks
 
     def _white_and_black(self) -> str:
@@ -116,6 +127,25 @@ class _Capture:
             other = max(used, key=lambda n: sign * means[n])
             if sign * (means[other] - means[number]) > 1.0:
                 return f"{self._name(other)} is {word} than {self._name(number)}"
+        return ""
+
+    def _doubled(self) -> str:
+        """Two bits of a Gray code in a row never have an edge at one place."""
+        coded = [n for n, pattern in enumerate(self._patterns) if pattern.role == "gray"]
+        if self._white is None or self._black is None:
+            return ""
+        lit = self._lit("columns")
+        if not lit.any():
+            return ""
+        white, black = (self._lines["columns"][n][lit].astype(np.float32) for n in (self._white, self._black))
+        swing, before, before_lit = white - black, -1, np.zeros(0, np.float32)
+        for number in coded:
+            share = (self._lines["columns"][number][lit] - black) / swing
+            if before >= 0 and np.mean(np.abs(share - before_lit) > _OFF_MIDDLE) < _DOUBLED:
+                halves = np.mean(before_lit > 0.5 + _OFF_MIDDLE), np.mean(before_lit < 0.5 - _OFF_MIDDLE)
+                if min(halves) > _DOUBLED and sum(halves) > _BINARY:
+                    return f"{self._name(before)} and {self._name(number)} are the same image"
+            before, before_lit = number, share
         return ""
 
     def _lit(self, axis: str) -> npt.NDArray[np.bool_]:
@@ -233,6 +263,49 @@ class _Capture:
             if len(group) > 3 and np.median(rest / amplitude[clear]) > _SINUSOID:
                 return f"the images of period {period:g} px follow no sinusoid: their order is probably another one"
         return ""
+
+    def _places(self, axis: str) -> str:
+        """Sinusoids of an axis against its Gray code, or those of several periods against each other."""
+        used = [
+            n for n, pattern in enumerate(self._patterns) if pattern.axis == axis or n in (self._white, self._black)
+        ]
+        gray = [n for n in used if self._patterns[n].role != "phase"]
+        phase = self._sequence.coded("phase", axis)
+        try:
+            if not self._sequence.coded("gray", axis):
+                found = self._decoded(axis, used)
+                lit = (found.reasons & (Reason.SHADOW | Reason.TEXTURE)) == 0
+                doubtful = np.count_nonzero((found.reasons[lit] & Reason.UNIQUENESS) != 0)
+                if doubtful > _DOUBTFUL * np.count_nonzero(lit):
+                    return (
+                        f"the periods of the {axis} contradict each other in {doubtful / np.count_nonzero(lit):.0%} of "
+                        "the pixels: steps are exchanged, or the shifts of the manifest have the wrong sign"
+                    )
+                return ""
+            coarse = self._decoded(axis, gray)
+        except ConfigError:  # of a sequence without one of its images
+            return ""
+        place = coarse.column_px if axis == "columns" else coarse.row_px
+        assert place is not None
+        for period in sorted({self._patterns[n].period_px for n in phase}):
+            group = [n for n in phase if self._patterns[n].period_px == period]
+            shifts = [self._patterns[n].shift_deg for n in group]
+            lines = np.stack([np.ascontiguousarray(self._lines[axis][n]) for n in group])
+            reasons = coarse.reasons.copy()
+            wave = wave_of_images(lines, range(len(group)), period, shifts, 1.0, reasons)
+            apart = (place / period - wave.turn)[reasons == 0]
+            apart = np.abs(apart - np.round(apart))
+            if apart.size and np.mean(apart > _APART) > _DOUBTFUL:
+                return (
+                    f"the sinusoid of period {period:g} px is {np.median(apart):.2f} periods off the Gray code of the "
+                    f"{axis}: steps are exchanged, or the shifts of the manifest are others"
+                )
+        return ""
+
+    def _decoded(self, axis: str, numbers: Sequence[int]) -> ProjectorMap:
+        patterns = tuple(self._patterns[number] for number in numbers)
+        lines = [np.ascontiguousarray(self._lines[axis][number]) for number in numbers]
+        return decode(dataclasses.replace(self._sequence, patterns=patterns), lines)
 
     def _name(self, number: int) -> str:
         return f"image {number + 1} ({self._patterns[number]})"
