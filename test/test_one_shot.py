@@ -200,6 +200,8 @@ def test_displacements_of_colors_are_estimated_and_removed() -> None:
     corrected, sigma_px = remove_displacements(x_px, labels, STRIPES)
     assert np.std(corrected - smooth) < 0.13 < 0.5 < np.std(x_px - smooth)
     assert sigma_px == pytest.approx(0.1, rel=0.2)
+    some, _ = remove_displacements(x_px[:, :7], np.ascontiguousarray(labels[:, :7]), STRIPES)
+    np.testing.assert_array_equal(some, x_px[:, :7])  # five different triples do not determine them
     few = remove_displacements(x_px[:1, :20], np.tile(labels[0, :20], (1, 1)), STRIPES)
     assert np.isnan(few[1])
 
@@ -290,6 +292,16 @@ def test_an_image_without_the_pattern_has_no_codes() -> None:
     for image in (noise, dark):
         assert np.count_nonzero(one_shot(image, STRIPES).reasons == 0) == 0
     assert np.mean(one_shot(np.ascontiguousarray(other), STRIPES).reasons == 0) == 0
+
+
+def test_an_object_of_a_few_stripes() -> None:
+    left, _, truth = captured()
+    image = np.zeros_like(left)
+    image[20:90, 60:92] = left[20:90, 60:92]
+    found = one_shot(image, STRIPES)
+    assert found.column_px is not None
+    off = np.abs(found.column_px - truth.column_px)[22:88, 67:85]  # without the borders, which are edges too
+    assert np.mean(off < 1.0) > 0.95
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ _ROWS_OF_MIXING = 64
 _MOST_BETWEEN = 1  # changes without an edge, or edges without a label, between two that are interpolated
 _LARGEST_RATIO_ALONE = 2.5  # to the typical one
 _LEAST_LONG = 0.2  # of the edges in unique runs, in runs of twice the length; of a pattern that is not there below 0.01
+_LEAST_UNIQUE = 0.5  # of all edges, in unique runs, where none are long; of a pattern that is not there below 0.4
 _FLAT_SIGMAS = 12.0  # pixels farther from every edge are on no stripe
 _DARK = 0.2  # of the bright parts of the image
 _NO_MATCH, _UNIQUENESS, _TEXTURE, _SHADOW = (
@@ -153,13 +154,19 @@ def decode_edges(image: npt.NDArray[Any], pattern: StripePattern) -> StripeEdges
     some = found.some_rows(max(1, found.counts.size // _ROWS_OF_MIXING))
     found = separate_colors(found, color_mixing(some, *label_rows(some, seen), seen))
     labels, runs = label_rows(found, seen)
-    if np.count_nonzero(runs >= 2 * pattern.window) < _LEAST_LONG * np.count_nonzero(runs >= pattern.window):
-        labels[:] = -1  # another pattern, of which some short sequences are in this one too
+    if not _is_plausible(runs, int(found.counts.sum()), pattern.window):
+        labels[:] = -1
     labels = vote(found, labels, runs, pattern.window, sigma_px)
     x_px, sigma_x_px = remove_displacements(found.x_px, labels, seen)
     if not math.isfinite(sigma_x_px):
         sigma_x_px = sigma_px
     return StripeEdges(seen, turned, found, x_px, labels, sigma_x_px, sigma_px, contrast, limit)
+
+
+def _is_plausible(runs: U8, edges: int, window: int) -> bool:
+    """Whether the pattern is the one that is seen: of another one, some short sequences are in this one too."""
+    unique, long = np.count_nonzero(runs >= window), np.count_nonzero(runs >= 2 * window)
+    return bool(long >= _LEAST_LONG * unique or unique >= _LEAST_UNIQUE * edges)
 
 
 def _transposed(pattern: StripePattern) -> StripePattern:

@@ -5,7 +5,7 @@
 Where a bright channel blooms, or where the projector or the camera is not linear, a rising edge is found too early and
 a falling one too late; channels are also displaced by the lenses. Along a smooth surface the positions of three
 successive edges are nearly linear in their projector columns, whatever their colors, so that the displacement of each
-kind of change follows from many such triples by least squares.
+kind of change follows by least squares from the triples of the pattern, with the median over the rows for each of them.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ __all__ = ["remove_displacements"]
 
 _Index = npt.NDArray[np.intp]
 
-_ROUNDS = 3
+_ROUNDS = 6
 _OUTLIER_SIGMAS = 3.0
+_PRIOR_SIGMA, _LEAST_SIGMA = 0.1, 0.01  # of a displacement, and of a triple of changes, stripes
 _MOST_TRIPLES = 40_000
 _LEAST_TRIPLES = 30
+_LEAST_EQUATIONS = 30  # triples of the pattern, for up to some 18 kinds of changes; with fewer there is no correction
 _VARIANCE = 1.5  # of x[i] - (x[i - 1] + x[i + 1]) / 2, for edges of variance 1
 
 
@@ -48,13 +50,17 @@ def remove_displacements(x_px: F32, labels: I32, pattern: StripePattern) -> tupl
     if row.size < _LEAST_TRIPLES:
         return x_px, float("nan")
     at = np.stack([left, middle, right], axis=1)
-    number = labels[row[:, None], at]
-    x, u, kind = x_px[row[:, None], at].astype(np.float64), pattern.edges_px[number], type_of[number]
+    number = labels[row[:, None], at].astype(np.intp)
+    x, u, kind = x_px[row[:, None], at].astype(np.float64), pattern.edges_px[number], type_of[number].astype(np.intp)
     share = (u[:, 1] - u[:, 0]) / (u[:, 2] - u[:, 0])
     stripe_px = (x[:, 2] - x[:, 0]) / 2
     factors = np.stack([share - 1.0, np.ones_like(share), -share], axis=1)
     deviations = np.sum(factors * x, axis=1)
-    displacement = _fit(factors, kind, deviations / stripe_px, len(types))
+    first, middle_of = np.unique(number[:, 1], return_index=True)[1], number[:, 1]
+    median = _medians(middle_of, deviations / stripe_px)
+    displacement = np.zeros(len(types))
+    if first.size >= _LEAST_EQUATIONS:
+        displacement = _fit(factors[first], kind[first], median, len(types))
     left_over = deviations - stripe_px * np.sum(factors * displacement[kind], axis=1)
     corrected = x_px.copy()
     own = np.where(labels >= 0, displacement[type_of[labels]], 0.0)
@@ -72,19 +78,26 @@ def _triples(labels: I32) -> tuple[_Index, _Index, _Index, _Index]:
     return row[first], column[first], column[first + 1], column[first + 2]
 
 
-def _fit(factors: F64, kind: I32, values: F64, kinds: int) -> F64:
-    """Least squares without outliers; of minimal norm, as one displacement of all kinds changes nothing."""
+def _medians(group: _Index, values: F64) -> F64:
+    """The median of the values of each group, in the order of the groups."""
+    order = np.argsort(group, kind="stable")
+    parts = np.split(values[order], np.flatnonzero(np.diff(group[order])) + 1)
+    return np.array([np.median(part) for part in parts])
+
+
+def _fit(factors: F64, kind: _Index, values: F64, kinds: int) -> F64:
+    """Least squares without outliers, with a prior that is 0: what the equations do not determine stays small."""
     displacement: F64 = np.zeros(kinds)
     for _ in range(_ROUNDS):
         deviations = values - np.sum(factors * displacement[kind], axis=1)
-        inlier = np.abs(deviations) <= _OUTLIER_SIGMAS * robust_sigma(deviations)
+        sigma = max(robust_sigma(deviations), _LEAST_SIGMA)
+        inlier = np.abs(deviations) <= _OUTLIER_SIGMAS * sigma
         f, k, v = factors[inlier], kind[inlier], values[inlier]
-        normal, right = np.zeros((kinds, kinds)), np.zeros(kinds)
+        A = np.zeros((len(v), kinds))
         for a in range(3):
-            right += np.bincount(k[:, a], f[:, a] * v, kinds)
-            for b in range(3):
-                normal += np.bincount(k[:, a] * kinds + k[:, b], f[:, a] * f[:, b], kinds**2).reshape(kinds, kinds)
-        displacement = np.asarray(np.linalg.lstsq(normal, right, rcond=1e-6)[0], np.float64)
+            np.add.at(A, (np.arange(len(v)), k[:, a]), f[:, a])
+        normal = A.T @ A + (sigma / _PRIOR_SIGMA) ** 2 * np.identity(kinds)
+        displacement = np.asarray(np.linalg.solve(normal, A.T @ v), np.float64)
     return displacement
 
 
