@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Space-time stereo over the number of pairs: density, agreement with sgm, noise and time, of images of a static scene.
+"""Space-time stereo over the number of pairs: density, differences to sgm, noise and time, of images of a static scene.
 
 python benchmarks/spacetime.py IMAGES --min-disparity -106 --disparity-range 352
 python benchmarks/spacetime.py IMAGES --window 1 --pairs 8 32 --plot out/noise.png --disparities out/disparity.png
@@ -119,7 +119,7 @@ def table(pairs: Sequence[tuple[U8, U8]], counts: Sequence[int], window: int, se
 
 
 def plot(rows: Sequence[dict[str, float]]) -> U8:
-    """Noise and density over the number of pairs, both on logarithmic and linear axes of one picture."""
+    """Noise and density over the number of pairs, in one image."""
     width, height, margin = 720, 420, 60
     image = np.full((height, width, 3), 255, np.uint8)
     counts = sorted({int(row["pairs"]) for row in rows})
@@ -148,7 +148,7 @@ def plot(rows: Sequence[dict[str, float]]) -> U8:
 
 
 def colored(disparity_px: F32) -> U8:
-    """A picture of the disparities, black where there is none."""
+    """An image of the disparities, black where there is none."""
     low, high = np.nanpercentile(disparity_px, (1, 99))
     levels = np.clip(255 * (np.nan_to_num(disparity_px, nan=low) - low) / (high - low), 0, 255).astype(np.uint8)
     image = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
