@@ -87,13 +87,13 @@ def table(pairs: Sequence[tuple[U8, U8]], counts: Sequence[int], window: int, se
     """Print a row for each number of pairs and both kinds of windows; the rows and the last disparities."""
     on = object_of(pairs)
     sgm, _ = timed("sgm", pairs, 1, 1, **search)
-    fields = {**search, "correlation_window_size": window, "uniqueness_ratio": 0.0, "speckle_size": 0}
+    fields = {**search, "spacetime_window": window, "uniqueness_ratio": 0.0, "speckle_size": 0}
     single = residuals(timed("spacetime", pairs, 1, 1, **fields)[0].disparity_px, on)
     rows: list[dict[str, float]] = []
     results = {}
     for slanted in (False, True):
         for count in counts:
-            fields = {**search, "correlation_window_size": window, "slanted_windows": slanted}
+            fields = {**search, "spacetime_window": window, "slanted_windows": slanted}
             results[slanted, count] = timed("spacetime", pairs, count, 1, **fields)
     smooth = residuals(results[True, max(counts)][0].disparity_px, on)
     places = [place for place, noise in smooth.items() if noise < SMOOTH_PX]
@@ -166,8 +166,8 @@ def speed(rounds: int) -> None:
     methods: dict[str, tuple[str, int, dict[str, Any]]] = {
         "sgm, 1 pair": ("sgm", 1, {}),
         "sgm, 8 pairs": ("sgm", 8, {}),
-        "spacetime 5 x 5 x 8": ("spacetime", 8, {"correlation_window_size": 5}),
-        "spacetime 15 x 15 x 8": ("spacetime", 8, {}),
+        "spacetime 5 x 5 x 8": ("spacetime", 8, {}),
+        "spacetime 15 x 15 x 8": ("spacetime", 8, {"spacetime_window": 15}),
     }
     times: dict[str, list[float]] = {name: [] for name in methods}
     matchers = {name: (create_matcher(m, temporal_window=n, **f), n) for name, (m, n, f) in methods.items()}
