@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Space-time stereo over the number of pairs: density, agreement with sgm, noise and time, of images of a static scene.
+"""Space-time stereo over the number of pairs: density, differences to sgm, noise and time, of images of a static scene.
 
 python benchmarks/spacetime.py IMAGES --min-disparity -106 --disparity-range 352
 python benchmarks/spacetime.py IMAGES --window 1 --pairs 8 32 --plot out/noise.png --disparities out/disparity.png
@@ -87,13 +87,13 @@ def table(pairs: Sequence[tuple[U8, U8]], counts: Sequence[int], window: int, se
     """Print a row for each number of pairs and both kinds of windows; the rows and the last disparities."""
     on = object_of(pairs)
     sgm, _ = timed("sgm", pairs, 1, 1, **search)
-    fields = {**search, "correlation_window_size": window, "uniqueness_ratio": 0.0, "speckle_size": 0}
+    fields = {**search, "spacetime_window": window, "uniqueness_ratio": 0.0, "speckle_size": 0}
     single = residuals(timed("spacetime", pairs, 1, 1, **fields)[0].disparity_px, on)
     rows: list[dict[str, float]] = []
     results = {}
     for slanted in (False, True):
         for count in counts:
-            fields = {**search, "correlation_window_size": window, "slanted_windows": slanted}
+            fields = {**search, "spacetime_window": window, "slanted_windows": slanted}
             results[slanted, count] = timed("spacetime", pairs, count, 1, **fields)
     smooth = residuals(results[True, max(counts)][0].disparity_px, on)
     places = [place for place, noise in smooth.items() if noise < SMOOTH_PX]
@@ -119,7 +119,7 @@ def table(pairs: Sequence[tuple[U8, U8]], counts: Sequence[int], window: int, se
 
 
 def plot(rows: Sequence[dict[str, float]]) -> U8:
-    """Noise and density over the number of pairs, both on logarithmic and linear axes of one picture."""
+    """Noise and density over the number of pairs, in one image."""
     width, height, margin = 720, 420, 60
     image = np.full((height, width, 3), 255, np.uint8)
     counts = sorted({int(row["pairs"]) for row in rows})
@@ -148,7 +148,7 @@ def plot(rows: Sequence[dict[str, float]]) -> U8:
 
 
 def colored(disparity_px: F32) -> U8:
-    """A picture of the disparities, black where there is none."""
+    """An image of the disparities, black where there is none."""
     low, high = np.nanpercentile(disparity_px, (1, 99))
     levels = np.clip(255 * (np.nan_to_num(disparity_px, nan=low) - low) / (high - low), 0, 255).astype(np.uint8)
     image = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
@@ -166,8 +166,8 @@ def speed(rounds: int) -> None:
     methods: dict[str, tuple[str, int, dict[str, Any]]] = {
         "sgm, 1 pair": ("sgm", 1, {}),
         "sgm, 8 pairs": ("sgm", 8, {}),
-        "spacetime 5 x 5 x 8": ("spacetime", 8, {"correlation_window_size": 5}),
-        "spacetime 15 x 15 x 8": ("spacetime", 8, {}),
+        "spacetime 5 x 5 x 8": ("spacetime", 8, {}),
+        "spacetime 15 x 15 x 8": ("spacetime", 8, {"spacetime_window": 15}),
     }
     times: dict[str, list[float]] = {name: [] for name in methods}
     matchers = {name: (create_matcher(m, temporal_window=n, **f), n) for name, (m, n, f) in methods.items()}

@@ -58,7 +58,7 @@ def test_entries_are_consistent(name: str, network: None) -> None:
         ("belief_propagation", {"correlation_window_size": 1}, (1, 1)),
         ("features", {}, (15, 15)),
         ("onnx", {}, (1, 1)),
-        ("spacetime", {"temporal_window": 3}, (7, 7)),
+        ("spacetime", {"spacetime_window": 3}, (3, 3)),
     ],
 )
 def test_support(name: str, fields: dict[str, int], expected: tuple[int, int], network: None) -> None:

@@ -214,7 +214,7 @@ def check_results(names: Mapping[str, Any]) -> None:
 
 def test_python_examples_are_found() -> None:
     assert {block.document for block in BLOCKS if block.language == "python"} == {
-        *("README.md", "docs/geometry.md", "docs/one_shot.md", "docs/python.md")
+        *("README.md", "docs/geometry.md", "docs/one_shot.md", "docs/python.md", "docs/space_time.md")
     }
 
 

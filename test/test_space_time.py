@@ -86,7 +86,7 @@ def by_definition(pairs: list[tuple[U8, U8]], half: int, low: int, count: int) -
 @pytest.mark.parametrize("low", [0, -9])
 def test_the_winner_is_that_of_the_definition(pairs: int, window: int, low: int) -> None:
     images = light(lambda x, y, n: 6.3 + low / 2 + 0.02 * x, pairs, height=9, width=48, noise=3.0)
-    found = matched(images, min_disparity=low, correlation_window_size=window, **UNCHECKED)
+    found = matched(images, min_disparity=low, spacetime_window=window, **UNCHECKED)
     best, rho = by_definition(images, window // 2, low, 32)
     valid = found.reasons == 0
     assert valid.mean() > 0.5
@@ -97,7 +97,7 @@ def test_the_winner_is_that_of_the_definition(pairs: int, window: int, low: int)
 
 def test_the_subpixel_part_has_the_highest_correlation_with_a_linear_image() -> None:
     pairs, half = light(lambda x, y, n: 6.3 + 0.02 * x, 4, height=9, width=48, noise=3.0), 1
-    found = matched(pairs, correlation_window_size=3, **UNCHECKED)
+    found = matched(pairs, spacetime_window=3, **UNCHECKED)
     left, right = (np.stack([pair[side] for pair in pairs]).astype(float) for side in (0, 1))
     for y in range(2, 7):
         for x in range(20, 40):
@@ -120,7 +120,7 @@ def test_results_do_not_depend_on_the_number_of_cores(monkeypatch: pytest.Monkey
     found = []
     for cores in (1, 3):
         monkeypatch.setattr(parallel, "core_count", lambda cores=cores: cores)
-        found.append(matched(pairs, correlation_window_size=7, slanted_windows=cores > 9))
+        found.append(matched(pairs, spacetime_window=7, slanted_windows=True))
     np.testing.assert_array_equal(found[0].disparity_px, found[1].disparity_px)
     np.testing.assert_array_equal(found[0].reasons, found[1].reasons)
 
@@ -139,7 +139,7 @@ def test_pixels_alone_are_matched_by_their_gray_levels_over_time() -> None:
     pairs = light(surface, 24, noise=6.0)
     density, error = [], []
     for count in (2, 6, 24):
-        found = matched(pairs[-count:], correlation_window_size=1)
+        found = matched(pairs[-count:], spacetime_window=1)
         density.append((found.reasons == 0)[6:-6, 36:-6].mean())
         error.append(np.median(errors_px(found, surface, 0)) if density[-1] else np.inf)
     assert density[0] < 0.2 < density[1] < density[2]
@@ -152,7 +152,7 @@ def test_pixels_alone_are_matched_by_their_gray_levels_over_time() -> None:
 
 def test_a_single_pair_is_a_window_in_space_and_gain_and_offset_do_not_matter() -> None:
     surface: Disparity = lambda x, y, n: 12 + 0.03 * x  # noqa: E731
-    found = matched(light(surface, 1), correlation_window_size=9)
+    found = matched(light(surface, 1), spacetime_window=9)
     assert np.median(errors_px(found, surface, 0)) < 0.1
     assert (found.reasons == 0)[6:-6, 36:-6].mean() > 0.98
 
@@ -163,7 +163,7 @@ def test_reasons() -> None:
     for left, _ in pairs:
         left[20:40, 40:60] = 77  # never lit
         left[:, 80:95] = rng.integers(0, 255, (HEIGHT, 15))  # seen by the left camera alone
-    found = matched(pairs, min_disparity=4, correlation_window_size=3, speckle_size=0)
+    found = matched(pairs, min_disparity=4, spacetime_window=3, speckle_size=0)
     assert (found.reasons[22:38, 42:58] == Reason.TEXTURE).all()
     assert (found.reasons[:, :4] == Reason.BORDER).all() and not (found.reasons[:, 4:] == Reason.BORDER).any()
     assert (found.reasons[:, 82:93] != 0).mean() > 0.95
@@ -175,18 +175,18 @@ def test_reasons() -> None:
 def test_images_without_texture_have_no_disparity() -> None:
     gray = np.full((HEIGHT, WIDTH), 90, np.uint8)
     for right in (gray, light(lambda x, y, n: 0 * x, 1)[0][1]):
-        assert (matched([(gray, right)] * 2, correlation_window_size=3).reasons == Reason.TEXTURE).all()
+        assert (matched([(gray, right)] * 2, spacetime_window=3).reasons == Reason.TEXTURE).all()
     lit = light(lambda x, y, n: 0 * x, 1)[0][0]
-    assert matched([(lit, gray)] * 2, correlation_window_size=3).valid_fraction == 0
+    assert matched([(lit, gray)] * 2, spacetime_window=3).valid_fraction == 0
 
 
 def test_windows_whose_sums_overflow_are_refused() -> None:
-    create_matcher("spacetime", correlation_window_size=127, temporal_window=8)
+    create_matcher("spacetime", spacetime_window=127, temporal_window=8)
     with pytest.raises(ConfigError, match=r"129 x 129 pixels in 8 pairs has more than 131072 samples: use a smaller"):
-        create_matcher("spacetime", correlation_window_size=129, temporal_window=8)
+        create_matcher("spacetime", spacetime_window=129, temporal_window=8)
     dark, bright = np.zeros((2, 140, 160), np.uint8)
     bright[:, ::2] = 255  # the largest products
-    found = matched([(bright, bright)] * 8, correlation_window_size=127, **UNCHECKED)
+    found = matched([(bright, bright)] * 8, spacetime_window=127, **UNCHECKED)
     assert (found.reasons[dark == 0] & Reason.NO_MATCH == 0).all()
 
 
@@ -195,7 +195,7 @@ def test_slanted_windows_follow_steep_surfaces(pairs: int) -> None:
     surface: Disparity = lambda x, y, n: 4 + 0.22 * x - 0.15 * (y - 30)  # noqa: E731
     images = light(surface, pairs, noise=2.0)
     flat, slanted = (
-        errors_px(matched(images, correlation_window_size=9, slanted_windows=on), surface, 0) for on in (False, True)
+        errors_px(matched(images, spacetime_window=9, slanted_windows=on), surface, 0) for on in (False, True)
     )
     assert slanted.size >= 0.98 * flat.size
     assert np.sqrt(np.mean(slanted**2)) < 0.5 * np.sqrt(np.mean(flat**2))
@@ -207,7 +207,7 @@ def test_slanted_windows_follow_a_moving_scene() -> None:
     scene: Disparity = lambda x, y, n: 8 + 0.05 * x + 0.02 * y + 0.4 * n  # noqa: E731
     images = light(scene, 7, noise=2.0)
     flat, slanted = (
-        errors_px(matched(images, correlation_window_size=7, slanted_windows=on), scene, 6) for on in (False, True)
+        errors_px(matched(images, spacetime_window=7, slanted_windows=on), scene, 6) for on in (False, True)
     )
     assert np.median(flat) > 0.9  # the disparity in the middle of the seven, 3 x 0.4 px earlier
     assert np.median(slanted) < 0.08
@@ -218,7 +218,7 @@ def test_where_no_slant_fits_better_the_disparity_stays() -> None:
     pairs = light(lambda x, y, n: 0 * x + 9, 2)
     unrelated = light(lambda x, y, n: 0 * x + 9, 2, seed=4)
     mixed = [(left, other) for (left, _), (_, other) in zip(pairs, unrelated, strict=True)]
-    fields = {"correlation_window_size": 3, **UNCHECKED}
+    fields = {"spacetime_window": 3, **UNCHECKED}
     flat, slanted = (matched(mixed, slanted_windows=on, **fields) for on in (False, True))
     np.testing.assert_array_equal(flat.reasons, slanted.reasons)
     valid = flat.reasons == 0

@@ -46,7 +46,7 @@ def test_under_random_light_more_pairs_give_more_and_better_disparities(
     seen = truth.lit & ~truth.occluded & (truth.disparity_px < 47)
     share, error = [], []
     for count in (1, 4, 16):
-        fields = {"num_disparities": 48, "correlation_window_size": 5, "temporal_window": count}
+        fields = {"num_disparities": 48, "spacetime_window": 5, "temporal_window": count}
         pipeline = StereoPipeline(PipelineConfig(matching=create_matcher(name, **fields).config), scanner.rig)
         for pair in pairs[-count:]:
             prepared = pipeline.prepare(pair)
@@ -103,7 +103,7 @@ def test_a_vase_under_changing_stripes(stereo_data: Path, tmp_path: Path) -> Non
     on = cv2.morphologyEx(lit.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8)) > 0
 
     def match(name: str, count: int, **fields: Any) -> MatchResult:
-        search = {"min_disparity": -106, "num_disparities": 352, "correlation_window_size": 5}
+        search = {"min_disparity": -106, "num_disparities": 352, "spacetime_window": 5}
         matcher = create_matcher(name, **search, temporal_window=count, **fields)
         return matcher.match(*pairs[-1], earlier=pairs[:-1])
 

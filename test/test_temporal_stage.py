@@ -28,7 +28,7 @@ from stereo_depth_ros.pipeline import PreparedPair
 
 FRAMES, TOGETHER = 5, 3
 SEQUENCE = sequence(FRAMES)
-FIELDS = {"num_disparities": 32, "correlation_window_size": 5, "temporal_window": TOGETHER}
+FIELDS = {"num_disparities": 32, "spacetime_window": 5, "temporal_window": TOGETHER}
 NAMES = ["spacetime", "sgm"]
 DISPARITY = "stereo_msgs/msg/DisparityImage"
 
@@ -118,7 +118,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_bag_is_processed_and_evaluated_with_the_pairs_before(bag: Path, tmp_path: Path) -> None:
-    values = {"stereo_algorithm": 11, "disparity_range": 32, "correlation_window_size": 5, "temporal_window": TOGETHER}
+    values = {"stereo_algorithm": 11, "disparity_range": 32, "spacetime_window": 5, "temporal_window": TOGETHER}
     config = pipeline_config(values)
     process_bag(BagSelection(bag), tmp_path / "out.mcap", config)
     messages, types = messages_of(tmp_path / "out.mcap", "/disparity"), RosbagsTypes()

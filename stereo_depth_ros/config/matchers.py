@@ -118,7 +118,7 @@ _LINES = (
         "spacetime",
         "spacetime.matcher:SpaceTimeMatcher",
         "Correlation over windows in space and time, of the last pairs under changing light (Zhang et al. 2003).",
-        (*_SEARCH, *_CHECKS, _WINDOW, *_TEMPORAL, "slanted_windows"),
+        (*_SEARCH, *_CHECKS, *_TEMPORAL, "spacetime_window", "slanted_windows"),
         _SECOND_COST,
     ),
 )

@@ -186,6 +186,9 @@ class TemporalConfig(Checked):
         high=3600.0,
         unit="s",
     )
+    spacetime_window: int = parameter(
+        5, "Side length of the square window in the image; 1 with many pairs.", low=1, high=255, step=2, unit="px"
+    )
     slanted_windows: bool = parameter(
         False,
         "Windows whose disparity is linear in x, y and time, for slanted surfaces and moving scenes; slow.",

@@ -35,7 +35,7 @@ _NAN = np.float32(np.nan)
 
 
 class SpaceTimeMatcher(SerialMatcher):
-    """Windows of ``correlation_window_size`` squared pixels and ``temporal_window`` pairs (Zhang et al. 2003).
+    """Windows of ``spacetime_window`` squared pixels and ``temporal_window`` pairs (Zhang et al. 2003).
 
     The scene is lit by a light that changes from pair to pair: projected stripes, noise, or a moving shadow. A pixel
     is then described by its gray levels over time, and windows of 1 x 1 pixel are enough with many pairs; the fewer
@@ -62,18 +62,23 @@ class SpaceTimeMatcher(SerialMatcher):
     name = "spacetime"
     step_px = 1 / STEPS_PER_PX
 
+    @property
+    def support_px(self) -> tuple[int, int]:
+        """The window."""
+        return self.config.spacetime_window, self.config.spacetime_window
+
     def __init__(self, config: MatchingConfig) -> None:
         """Raise ConfigError for a window whose sums do not fit in 32 bits."""
         super().__init__(config)
         self.pair_count = config.temporal_window or DEFAULT_PAIRS
-        side = config.correlation_window_size
+        side = config.spacetime_window
         if self.pair_count * side**2 > LARGEST_WINDOW:
             raise ConfigError(
                 f"a window of {side} x {side} pixels in {self.pair_count} pairs has more than {LARGEST_WINDOW} samples",
                 value=self.pair_count * side**2,
                 limit=LARGEST_WINDOW,
                 remedy="use a smaller window or fewer pairs",
-                settings=("correlation_window_size", "temporal_window"),
+                settings=("spacetime_window", "temporal_window"),
             )
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * SPECKLE_STEPS_PER_PX)
         self._search = WindowSearch(
