@@ -37,6 +37,7 @@ COMMANDS: Mapping[str, str] = {
     "calibrate-projector": "Calibrate a projector and its camera from a board under patterns, in several poses.",
     "calibrate-turntable": "Calibrate the axis of a turntable from images of markers or of a board on it.",
     "rectify": "Rectify a pair of images, with or without a calibration.",
+    "view": "Draw one kind of view of a bag or a pair of images: an image, an animation or a video.",
     "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
     "patterns": "Write the patterns that a projector shows for a scan, and their manifest.",
     "scan": "Compute depth from images of projected patterns, of two cameras or of one camera and a projector.",

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from stereo_depth_ros.config.matchers import MATCHERS
+from stereo_depth_ros.views.topics import VIEWS
 
 __all__ = [
     "Bag",
@@ -26,6 +27,7 @@ __all__ = [
     "SideBySide",
     "Start",
     "Strict",
+    "Views",
     "new_app",
 ]
 
@@ -77,6 +79,15 @@ Strict = Annotated[
     bool,
     typer.Option(
         "--strict", help="Keep nothing, and end with an error, where the first pairs do not fit the calibration."
+    ),
+]
+Views = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--view",
+        metavar="TOPIC",
+        help=f"Write this view too; the option may be repeated: {', '.join(VIEWS)}.",
+        autocompletion=lambda: [*VIEWS],
     ),
 ]
 

@@ -9,7 +9,7 @@ from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.camera_files.urls import camera_info_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
-from stereo_depth_ros.cli.given import given_parameters
+from stereo_depth_ros.cli.given import PIPELINE, given_parameters
 from stereo_depth_ros.cli.options import (
     Bag,
     BagOutput,
@@ -24,13 +24,16 @@ from stereo_depth_ros.cli.options import (
     SideBySide,
     Start,
     Strict,
+    Views,
     new_app,
 )
 from stereo_depth_ros.cli.output import parameter_files, prepare_kernels, progress_bar
 from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.run_report import finish_run
-from stereo_depth_ros.config.values import pipeline_config
+from stereo_depth_ros.config import ViewConfig
+from stereo_depth_ros.config.values import pipeline_config, stage_config
 from stereo_depth_ros.offline.engine import process_bag
+from stereo_depth_ros.views.topics import check_views
 
 __all__ = ["app"]
 
@@ -51,6 +54,7 @@ def process(
     right: Right = None,
     side_by_side: SideBySide = False,
     strict: Strict = False,
+    view: Views = None,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -63,9 +67,12 @@ def process(
       stereo-depth process drive.mcap -o depth.mcap
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
       stereo-depth process drive.mcap -o depth.mcap --camera-info left.yaml right.yaml
+      stereo-depth process drive.mcap -o depth.mcap --view anaglyph --view disparity_color
     """
     file = read_parameters(params_file)
-    given = given_parameters(param or (), matcher, file=file)
+    views = check_views(view or ())
+    stages = (*PIPELINE, "view") if views else PIPELINE
+    given = given_parameters(param or (), matcher, file=file, stages=stages, remedies={"view": "add --view"})
     values = {**file, **given, **camera_info_values(camera_info, given)}
     check_bag_output(
         output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
@@ -76,5 +83,6 @@ def process(
     prepare_kernels(config.matching)
     selection = BagSelection(bag, left, right, start, duration, side_by_side, files)
     with progress_bar("computing") as progress:
-        result = process_bag(selection, output, config, progress, overwrite=overwrite, strict=strict)
+        drawn = dict.fromkeys(views, stage_config(ViewConfig, values))
+        result = process_bag(selection, output, config, progress, drawn, overwrite=overwrite, strict=strict)
     finish_run(result, json_file, overwrite)

@@ -30,6 +30,7 @@ from stereo_depth_ros.cli.options import (
     SideBySide,
     Start,
     Strict,
+    Views,
     new_app,
 )
 from stereo_depth_ros.cli.output import parameter_files
@@ -37,6 +38,7 @@ from stereo_depth_ros.cli.run_report import finish_run
 from stereo_depth_ros.config.values import Value, parse_assignments, read_params_file
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.replay.options import ReplayOptions
+from stereo_depth_ros.views.topics import check_views
 
 __all__ = ["app"]
 
@@ -74,6 +76,7 @@ def replay(
         bool, typer.Option("--auto-correct", help="Run the calibration monitor and rectify with its correction.")
     ] = False,
     strict: Strict = False,
+    view: Views = None,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -88,6 +91,7 @@ def replay(
     Examples:
       stereo-depth replay drive.mcap -o depth.mcap
       stereo-depth replay drive.mcap -o depth.mcap --separate --matcher sgbm --param disparity_range:=128
+      stereo-depth replay drive.mcap -o depth.mcap --view view/image --param view_position:=0.3
       stereo-depth replay drive.mcap -o depth.mcap --auto-correct --param health_rate:=0
       stereo-depth replay drive.mcap -o depth.mcap --realtime --rate 0.5 --clock --start 10 --duration 5
     """
@@ -106,11 +110,13 @@ def replay(
         side_by_side=side_by_side,
         in_flight=in_flight,
         strict=strict,
+        views=",".join(check_views(view or ())),
     )
     if realtime:
         refuse_ignored(context, ["in_flight"], "with --realtime", "leave out one of them")
     shape = "separate" if separate else "fused"
-    values, monitor = _parameters(param or (), matcher, params_file, health, auto_correct)
+    stages = (*PIPELINE, "view") if view else PIPELINE
+    values, monitor = _parameters(param or (), matcher, params_file, health, auto_correct, stages)
     values |= camera_info_values(camera_info, values)
     check_bag_output(
         output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
@@ -120,7 +126,12 @@ def replay(
 
 
 def _parameters(
-    texts: Sequence[str], matcher: str | None, params_file: Path | None, health: bool, auto_correct: bool
+    texts: Sequence[str],
+    matcher: str | None,
+    params_file: Path | None,
+    health: bool,
+    auto_correct: bool,
+    stages: tuple[str, ...],
 ) -> tuple[dict[str, Value], Literal["", "report", "correct"]]:
     """The values given, and what the calibration monitor does."""
     wanted = parse_assignments(texts).get("auto_correct")
@@ -136,7 +147,7 @@ def _parameters(
         texts,
         matcher,
         file={**file, "auto_correct": monitor == "correct"},
-        stages=(*PIPELINE, "health") if monitor else PIPELINE,
-        remedies={"health": "add --health or --auto-correct"},
+        stages=(*stages, "health") if monitor else stages,
+        remedies={"health": "add --health or --auto-correct", "view": "add --view"},
     )
     return values, monitor

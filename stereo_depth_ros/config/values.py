@@ -7,7 +7,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from stereo_depth_ros.config import (
     CONFIGS,
@@ -22,9 +22,18 @@ from stereo_depth_ros.config.other_parameters import is_ros_parameter, is_withou
 from stereo_depth_ros.config.ros_yaml import node_parameters, parse_value
 from stereo_depth_ros.core.errors import ConfigError
 
-__all__ = ["PIPELINE_NODES", "Value", "check_texts", "parse_assignments", "pipeline_config", "read_params_file"]
+__all__ = [
+    "PIPELINE_NODES",
+    "Value",
+    "check_texts",
+    "parse_assignments",
+    "pipeline_config",
+    "read_params_file",
+    "stage_config",
+]
 
 Value: TypeAlias = bool | int | float | str
+ConfigT = TypeVar("ConfigT")
 
 # The nodes whose work the pipeline does: processing offline, and the fused node of a replay, take their sections
 PIPELINE_NODES = ("rectify_node", "disparity_node", "point_cloud_node", "depth_node", "stereo_depth_node")
@@ -96,13 +105,20 @@ def pipeline_config(values: Mapping[str, Value]) -> PipelineConfig:
     Raises:
         ConfigError: values that contradict each other.
     """
-    stages: dict[str, Any] = {}
-    for item in dataclasses.fields(PipelineConfig):
-        stage = CONFIGS[item.name]
-        names = {info.name for info in parameter_infos(stage)}
-        given = {name: value for name, value in values.items() if name in names}
-        stages[item.name] = replace_checked(stage(), given)
+    stages: dict[str, Any] = {
+        item.name: stage_config(CONFIGS[item.name], values) for item in dataclasses.fields(PipelineConfig)
+    }
     return PipelineConfig(**stages)
+
+
+def stage_config(stage: type[ConfigT], values: Mapping[str, Value]) -> ConfigT:
+    """The config of a stage with those of the values that are its parameters.
+
+    Raises:
+        ConfigError: values that contradict each other.
+    """
+    names = {info.name for info in parameter_infos(stage)}
+    return replace_checked(stage(), {name: value for name, value in values.items() if name in names})
 
 
 def _infos() -> dict[str, ParameterInfo]:

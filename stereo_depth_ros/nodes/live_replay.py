@@ -66,7 +66,9 @@ def replay_through_graph(
     prepare_process()
     with (
         tempfile.TemporaryDirectory(prefix="stereo-depth-") as logs,
-        GraphProcesses(shape, all_parameters, Path(logs), params_file, monitor) as graph,
+        GraphProcesses(
+            shape, all_parameters, Path(logs), params_file, monitor, views=bool(options.view_topics)
+        ) as graph,
     ):
         wait_until_ready(graph.numbers, graph.log_lengths, graph.check)
         report = replay(options, progress, graph.check, config)

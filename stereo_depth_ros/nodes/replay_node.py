@@ -129,7 +129,7 @@ def play(
     with BagPairs(selection, config.pairing) as pairs:
         with Recorder(options.output_path, overwrite=options.overwrite) as recorder:
             recorder.write_metadata("stereo_depth_ros", provenance(config, bag=options.bag))
-            ports = GraphPorts(node, recorder, pairs.topics.compressed, options.clock)
+            ports = GraphPorts(node, recorder, pairs.topics.compressed, options.clock, options.view_topics)
             player = Player(ports, pairs, options, config.pairing.approximate_sync, check)
             try:
                 player.play(progress)

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
@@ -15,7 +16,7 @@ from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, 
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
-from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.config import PipelineConfig, ViewConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import CameraOrderError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
@@ -26,6 +27,8 @@ from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
+from stereo_depth_ros.views.frame import ResultFrames
+from stereo_depth_ros.views.topics import ViewMessages
 
 __all__ = ["process_bag"]
 
@@ -35,6 +38,7 @@ def process_bag(
     output: Path,
     config: PipelineConfig,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    views: Mapping[str, ViewConfig] = MappingProxyType({}),
     *,
     overwrite: bool = False,
     strict: bool = False,
@@ -48,6 +52,7 @@ def process_bag(
         output: the bag to write.
         config: parameters of all stages.
         progress: called with the pairs done and about how many there are at most.
+        views: parameters of the views that are written too, by topic.
         overwrite: replace an existing output.
         strict: raise what is a warning otherwise: the first pairs do not fit the calibration, see :class:`FirstPairs`.
 
@@ -61,7 +66,7 @@ def process_bag(
     check_bag_output(output, bag_files(selection.path), overwrite=overwrite)
     refused: dict[str, str] = {}
     stages_ms: dict[str, list[float]] = defaultdict(list)
-    engine = _Engine(config)
+    engine = _Engine(config, views)
     selection, choice = open_selection(selection, config.pairing)
     with BagPairs(selection, config.pairing) as pairs:
         with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
@@ -122,8 +127,10 @@ class _Engine:
         fault: the first one that the first pairs of a rig show; None where they show none.
     """
 
-    def __init__(self, config: PipelineConfig) -> None:
+    def __init__(self, config: PipelineConfig, views: Mapping[str, ViewConfig]) -> None:
         self._types = RosbagsTypes()
+        self._views = views
+        self._frames, self._view_messages = ResultFrames(), ViewMessages(self._types)
         self._messages = ResultMessages(self._types)
         self._config = config
         self._pipelines = PerCalibration(self._types, self._build)
@@ -161,5 +168,12 @@ class _Engine:
         for topic, _, build in OUTPUTS:
             start = time.perf_counter()
             message = build(self._messages, result)
+            result.timings_ms[f"make {topic}"] = 1e3 * (time.perf_counter() - start)
+            yield f"/{topic}", message
+        frame = self._frames.of(result) if self._views else None
+        for topic, config in self._views.items():
+            assert frame is not None  # there are views
+            start = time.perf_counter()
+            message = self._view_messages.build(topic, frame, config)
             result.timings_ms[f"make {topic}"] = 1e3 * (time.perf_counter() - start)
             yield f"/{topic}", message

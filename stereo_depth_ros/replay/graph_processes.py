@@ -26,7 +26,7 @@ SHAPES: Mapping[str, tuple[str, ...]] = {
     "fused": ("stereo_depth_node",),
     "separate": ("rectify_node", "disparity_node", "point_cloud_node", "depth_node"),
 }
-_MONITOR = "calibration_monitor"
+_MONITOR, _VIEWS = "calibration_monitor", "view_node"
 _READ_RAW_IMAGES = (
     "stereo_depth_node",
     "rectify_node",
@@ -44,6 +44,7 @@ class GraphProcesses:
         log_dir: folder of the log files, one per node; created when missing.
         params_file: ROS parameter file, of which every node takes its own sections; ``parameters`` override it.
         monitor: "report" also runs the calibration monitor; "correct" rectifies with the camera infos that it corrects.
+        views: also run the view node.
         env: environment variables in addition to those of this process.
 
     Raises:
@@ -58,6 +59,8 @@ class GraphProcesses:
         log_dir: Path,
         params_file: Path | None = None,
         monitor: Literal["", "report", "correct"] = "",
+        *,
+        views: bool = False,
         env: Mapping[str, str] | None = None,
     ) -> None:
         if shape not in SHAPES:
@@ -69,7 +72,7 @@ class GraphProcesses:
                 settings=("shape",),
             )
         self.shape = shape
-        self._nodes = (*SHAPES[shape], _MONITOR) if monitor else SHAPES[shape]
+        self._nodes = (*SHAPES[shape], *([_MONITOR] if monitor else []), *([_VIEWS] if views else []))
         self._correct = monitor == "correct"
         self._parameters = dict(parameters)
         self._params_file = params_file

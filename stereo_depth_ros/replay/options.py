@@ -11,6 +11,7 @@ from typing import Any
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.config import parameter_infos
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.views.topics import check_views
 
 __all__ = ["ReplayOptions"]
 
@@ -24,7 +25,7 @@ class ReplayOptions:
     """The bag to play, the part of it, and how it is played.
 
     Raises:
-        ConfigError: a wrong type, a value out of range, or no bag.
+        ConfigError: a wrong type, a value out of range, no bag, or an unknown view.
     """
 
     bag: str = _option("", "Bag to play: .mcap, .db3, .bag of ROS 1, a rosbag2 folder.")
@@ -47,6 +48,7 @@ class ReplayOptions:
     right_topic: str = _option("", "Right image topic in the bag; empty finds it.")
     side_by_side: bool = _option(False, "Both images are in one topic, the left one in the left half.")
     in_flight: int = _option(1, "Maximum number of pairs in the graph at one time.", low=1, high=100)
+    views: str = _option("", "Views of view_node to record too, separated by commas, such as anaglyph.")
     strict: bool = _option(False, "End with an error where the first pairs do not fit the calibration.")
 
     def __post_init__(self) -> None:
@@ -56,6 +58,12 @@ class ReplayOptions:
             raise ConfigError(
                 "parameter bag is empty", value="", remedy="set it to the path of a bag", settings=("bag",)
             )
+        check_views(self.view_topics)
+
+    @property
+    def view_topics(self) -> tuple[str, ...]:
+        """The views that are recorded."""
+        return tuple(filter(None, (topic.strip() for topic in self.views.split(","))))
 
     @property
     def selection(self) -> BagSelection:

@@ -12,15 +12,15 @@ __all__ = ["Convergence", "common_columns", "converged", "subject_disparity"]
 
 _STEP = 4  # rows and columns between the pixels that are counted
 _CENTER = 0.5  # standard deviation of the weights of pixels, in half image sizes
-_PEAK = 0.5  # height of a peak that may be the subject, of that of the highest one
+_PEAK = 1 / 3  # height of a peak that may be the subject, of that of the highest one
 _SMOOTHING = (1, 2, 3, 2, 1)
 
 
 def subject_disparity(disparity_px: F32) -> int:
     """The disparity of the subject, whole pixels; 0 without valid disparities.
 
-    The nearest peak of the histogram that is at least half as high as the highest one. Bins are 1 px wide and smoothed
-    over 5 px; pixels have the weight of a Gaussian around the center of the image.
+    The nearest peak of the histogram that is at least a third as high as the highest one. Bins are 1 px wide and
+    smoothed over 5 px; pixels have the weight of a Gaussian around the center of the image.
 
     Args:
         disparity_px: float32 (H, W), NaN where invalid.

@@ -9,7 +9,7 @@ import numpy as np
 from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.types import U8
 
-__all__ = ["LAYOUTS", "arranged"]
+__all__ = ["LAYOUTS", "arranged", "check_layout"]
 
 LAYOUTS = ("parallel", "cross", "interlaced")
 
@@ -29,6 +29,7 @@ def arranged(left: U8, right: U8, layout: str) -> U8:
         ConfigError: unknown layout.
         ImageError: the shapes differ.
     """
+    check_layout(layout)
     if left.shape != right.shape:
         raise ImageError(
             f"left {left.shape} and right {right.shape} differ in shape",
@@ -41,14 +42,22 @@ def arranged(left: U8, right: U8, layout: str) -> U8:
         return np.hstack((left, right))
     if layout == "cross":
         return np.hstack((right, left))
-    if layout == "interlaced":
-        rows = left.copy()
-        rows[1::2] = right[1::2]
-        return rows
-    raise ConfigError(
-        f"layout {layout!r} is not one of {', '.join(LAYOUTS)}",
-        value=layout,
-        limit=LAYOUTS,
-        remedy="use one of them",
-        settings=("layout",),
-    )
+    rows = left.copy()
+    rows[1::2] = right[1::2]
+    return rows
+
+
+def check_layout(layout: str) -> None:
+    """Refuse an unknown layout.
+
+    Raises:
+        ConfigError: it is not one of ``LAYOUTS``.
+    """
+    if layout not in LAYOUTS:
+        raise ConfigError(
+            f"layout {layout!r} is not one of {', '.join(LAYOUTS)}",
+            value=layout,
+            limit=LAYOUTS,
+            remedy="use one of them",
+            settings=("layout",),
+        )

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from stereo_depth_ros.config import ViewConfig
+from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.payloads import PayloadPool
@@ -18,14 +20,19 @@ from stereo_depth_ros.views.convergence import Convergence, converged
 from stereo_depth_ros.views.frame import ViewFrame
 from stereo_depth_ros.views.interpolation import interpolate_view
 
-__all__ = ["VIEWS", "View", "ViewImages", "ViewMessages"]
+__all__ = ["VIEWS", "View", "ViewImages", "ViewMessages", "check_views"]
 
 
 class ViewImages:
-    """Draws the views of a stream of frames."""
+    """Draws the views of a stream of frames.
+
+    Attributes:
+        screen_px: disparity at the screen in the last converged image.
+    """
 
     def __init__(self) -> None:
         self._convergence = Convergence()
+        self.screen_px = 0
 
     def restart(self) -> None:
         """A new stream begins."""
@@ -54,7 +61,9 @@ class ViewImages:
 
     def shift_px(self, frame: ViewFrame, config: ViewConfig) -> int:
         """The disparity that lies at the screen."""
-        return self._convergence.follow(frame.disparity_px) if config.auto_convergence else round(config.convergence)
+        followed = self._convergence.follow(frame.disparity_px) if config.auto_convergence else None
+        self.screen_px = round(config.convergence) if followed is None else followed
+        return self.screen_px
 
 
 def _images(frame: ViewFrame) -> tuple[U8, U8]:
@@ -98,3 +107,23 @@ class ViewMessages:
         encoding = "mono8" if pixels.ndim == 2 else "bgr8"
         payload = self._pool.get(topic, pixels.nbytes)
         return image_message(self._types, pixels, encoding, frame.stamp_ns, frame.frame_id, payload)
+
+
+def check_views(topics: Sequence[str]) -> tuple[str, ...]:
+    """The topics, if all of them are views.
+
+    Raises:
+        ConfigError: an unknown one, or one that is there twice.
+    """
+    for topic in topics:
+        if topic not in VIEWS:
+            raise ConfigError(
+                f"view {quoted(topic)} is not one of {', '.join(VIEWS)}",
+                value=topic,
+                limit=tuple(VIEWS),
+                remedy="use one of them",
+                settings=("view",),
+            )
+    if len(set(topics)) < len(topics):
+        raise ConfigError(f"a view is named twice in {', '.join(topics)}", value=tuple(topics), remedy="name each once")
+    return tuple(topics)

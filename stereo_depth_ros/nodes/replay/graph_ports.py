@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -65,13 +65,16 @@ class GraphPorts:
         recorder: of the camera infos sent and of the expected outputs.
         compressed: the bag's images are CompressedImage.
         clock: publish the time of the pairs on /clock.
+        views: topics of the view node that are outputs too.
 
     Attributes:
         output_topics: names of the outputs, relative to the namespace.
         on_output: called with topic, stamp and time of receipt (both ns) of every output; True where it is expected.
     """
 
-    def __init__(self, node: Node, recorder: Recorder, compressed: bool, clock: bool) -> None:
+    def __init__(
+        self, node: Node, recorder: Recorder, compressed: bool, clock: bool, views: Sequence[str] = ()
+    ) -> None:
         self._node = node
         self._recorder = recorder
         self._executor = SingleThreadedExecutor(context=node.context)
@@ -81,13 +84,14 @@ class GraphPorts:
             topic, msgtype = transported(topic, msgtype, compressed)
             self._publishers[field] = node.create_publisher(message_class(msgtype), topic, _QOS)
         self._clock: Publisher | None = node.create_publisher(Clock, _CLOCK, 10) if clock else None
-        self.output_topics = tuple(_MSGTYPES)
+        self._msgtypes = {**_MSGTYPES, **dict.fromkeys(views, _IMAGE_TYPE)}
+        self.output_topics = tuple(self._msgtypes)
         self.on_output: Callable[[str, int, int], bool] = lambda topic, stamp_ns, now_ns: False
         self._subscriptions = {
             topic: node.create_subscription(
                 message_class(msgtype), topic, lambda data, topic=topic: self._receive(topic, data), _QOS, raw=True
             )
-            for topic, msgtype in _MSGTYPES.items()
+            for topic, msgtype in self._msgtypes.items()
         }
         for topic, (msgtype, latched) in _NOTES.items():
             node.create_subscription(
@@ -193,7 +197,7 @@ class GraphPorts:
     def _receive(self, topic: str, data: bytes) -> None:
         now_ns, stamp_ns = time.monotonic_ns(), cdr_stamp_ns(data)
         if self.on_output(topic, stamp_ns, now_ns):
-            self._recorder.write(self._subscriptions[topic].topic_name, _MSGTYPES[topic], data, stamp_ns)
+            self._recorder.write(self._subscriptions[topic].topic_name, self._msgtypes[topic], data, stamp_ns)
 
     def _note(self, topic: str, data: bytes) -> None:
         msgtype, latched = _NOTES[topic]
