@@ -23,7 +23,7 @@ from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES, read_image
 
-__all__ = ["ShownPatterns", "ShownSequence", "ShownStripes", "read_patterns"]
+__all__ = ["ShownPatterns", "ShownSequence", "ShownStripes", "pattern_images", "read_patterns"]
 
 
 class ShownPatterns(Protocol):
@@ -137,6 +137,19 @@ def read_patterns(path: Path) -> ShownPatterns:
     """
     if path.suffix.lower() not in IMAGE_SUFFIXES:
         return ShownSequence(read_manifest(path))
+    return ShownStripes(read_stripes(_rgb(path)))
+
+
+def pattern_images(path: Path) -> list[U8]:
+    """The patterns that the projector shows, uint8 (h, w), or (h, w, 3) RGB of color stripes.
+
+    Raises:
+        BagError, ConfigError, ImageError: as :func:`read_patterns`.
+    """
+    shown = read_patterns(path)
+    return list(shown.sequence.render()) if isinstance(shown, ShownSequence) else [_rgb(path)]
+
+
+def _rgb(path: Path) -> U8:
     pixels = read_image(path)
-    image = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB if pixels.ndim == 3 else cv2.COLOR_GRAY2RGB)
-    return ShownStripes(read_stripes(np.asarray(image, np.uint8)))
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB if pixels.ndim == 3 else cv2.COLOR_GRAY2RGB), np.uint8)

@@ -13,9 +13,10 @@ from rich.text import Text
 
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, show, tell, warn
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
+from stereo_depth_ros.evaluation.bag_score import BagScore
 from stereo_depth_ros.offline.report import RunReport
 
-__all__ = ["finish_run"]
+__all__ = ["finish_run", "truth_text"]
 
 
 def finish_run(result: RunReport, json_file: Path | None, overwrite: bool, image: Path | None = None) -> None:
@@ -55,16 +56,20 @@ def _summary_table(result: RunReport, image: Path | None) -> TextTable:
         facts.add_row("disparity images", str(score.frames))
         facts.add_row("valid pixels", f"{100 * score.valid_fraction:.1f} %")
         if score.truth_frames:
-            facts.add_row(
-                "error against truth",
-                f"median {score.median_px:.3f} px, mean {score.avg_px:.3f} px, {score.bad_2:.2f} % above 2 px "
-                f"({score.truth_frames} frames, density {100 * score.density:.1f} %)",
-            )
+            facts.add_row("error against truth", truth_text(score))
     if result.output is not None:
         facts.add_row("bag written", str(result.output))
     if image is not None:
         facts.add_row("image written", str(image))
     return facts
+
+
+def truth_text(score: BagScore) -> str:
+    """The errors of disparities whose truth is known."""
+    return (
+        f"median {score.median_px:.3f} px, mean {score.avg_px:.3f} px, {score.bad_2:.2f} % above 2 px "
+        f"({score.truth_frames} frames, density {100 * score.density:.1f} %)"
+    )
 
 
 def _outputs_table(result: RunReport) -> TextTable:

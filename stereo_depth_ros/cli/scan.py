@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from stereo_depth_ros.active.shown_patterns import read_patterns
@@ -19,11 +20,14 @@ from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.given import given_parameters, refuse_ignored
 from stereo_depth_ros.cli.options import BagOutput, Json, Overwrite, Params, new_app
 from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, tell
+from stereo_depth_ros.cli.run_report import truth_text
 from stereo_depth_ros.cli.scan_stripe import MOVING, StripeScanOptions, scan_stripe
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.files.output import check_outputs
+from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.evaluation.bag_score import BagScore, score_disparity
+from stereo_depth_ros.files.ply import write_ply
 from stereo_depth_ros.offline.captures import CaptureSource
 from stereo_depth_ros.offline.scan import ScanSummary, scan_captures
 from stereo_depth_ros.pipeline import StereoResult
@@ -35,7 +39,7 @@ app = new_app()
 
 _KINDS = ("patterns", "stripe")
 _STRIPE_OPTIONS = (
-    *("laser", "motion", "motion_topic", "joint", "step", "turntable", "linear_axis", "moving", "ambient", "ply"),
+    *("laser", "motion", "motion_topic", "joint", "step", "turntable", "linear_axis", "moving", "ambient"),
 )
 
 
@@ -118,7 +122,10 @@ def scan(
     ambient: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Subtract this image without the stripe from all images.")
     ] = None,
-    ply: Annotated[Path | None, typer.Option(metavar="FILE.ply", help="Write the merged points to this file.")] = None,
+    ply: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.ply", help="Write the points to this file, of the first scan or merged."),
+    ] = None,
     param: Params = None,
     preview: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write the image and the depth of the first scan as a PNG.")
@@ -188,8 +195,7 @@ def scan(
         BagSelection(place, left, right, side_by_side=side_by_side, camera_files=tuple(camera_info or ())), projector
     )
     files = [*source.files, manifest]
-    check_bag_output(output, files, reports=[json_file, preview], overwrite=overwrite)
-    check_outputs([], files, reports=[preview], overwrite=overwrite)
+    check_bag_output(output, files, reports=[json_file, preview, ply], overwrite=overwrite)
     shown, config = read_patterns(manifest), pipeline_config(given_parameters(param or (), None, file={}))
     prepare_kernels()
     first: list[StereoResult] = []
@@ -207,8 +213,13 @@ def scan(
     if preview is not None:
         image = first[0]
         save_preview(preview, image.rectified.left, image.depth_m, place.name, overwrite=overwrite)
+    if ply is not None:
+        points, values_of_points = _cloud(first[0])
+        write_ply(ply, points, values_of_points, overwrite=overwrite)
+    score = score_disparity(output, place) if is_bag(place) and not projector else None
     values = {"scans": [each.to_json() for each in scans], "output": str(output)}
-    show(_tables(scans, output, preview), values, json_file, overwrite=overwrite)
+    files_written = [("bag", output), ("image", preview), ("points", ply)]
+    show(_tables(scans, score, files_written), values, json_file, overwrite=overwrite)
     if len(scans) > 1:
         tell(f"{len(scans)} scans in {place}")
 
@@ -225,7 +236,16 @@ def _manifest_beside(place: Path) -> Path:
     )
 
 
-def _tables(scans: Sequence[ScanSummary], output: Path, preview: Path | None) -> Iterator[TextTable]:
+def _cloud(result: StereoResult) -> tuple[F64, dict[str, U8]]:
+    """The points of a result, float64 (N, 3), meters, and their gray levels."""
+    points = result.points().reshape(-1, 3)
+    found = np.isfinite(points[:, 2])
+    return points[found].astype(np.float64), {"intensity": result.rectified.left.reshape(-1)[found]}
+
+
+def _tables(
+    scans: Sequence[ScanSummary], score: BagScore | None, written: Sequence[tuple[str, Path | None]]
+) -> Iterator[TextTable]:
     table = plain_table("stamp:r", "valid:r", "median depth:r", "without depth", "decoding and matching:r")
     for each in scans:
         counts = sorted(((count, name) for name, count in each.reasons.items() if count), reverse=True)
@@ -240,7 +260,9 @@ def _tables(scans: Sequence[ScanSummary], output: Path, preview: Path | None) ->
         )
     yield table
     facts = facts_table()
-    facts.add_row("bag written", str(output))
-    if preview is not None:
-        facts.add_row("image written", str(preview))
+    if score is not None and score.truth_frames:
+        facts.add_row("error against truth", truth_text(score))
+    for what, path in written:
+        if path is not None:
+            facts.add_row(f"{what} written", str(path))
     yield facts
