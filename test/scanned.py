@@ -61,14 +61,16 @@ def captures() -> list[Capture]:
     ]
 
 
-def messages(types: Any, images: tuple[U8, ...], number: int) -> dict[str, Any]:
-    """Images by topic; one image is that of the left camera."""
+def messages(types: Any, images: tuple[U8, ...], number: int, bits: int = 8) -> dict[str, Any]:
+    """Images by topic; one image is that of the left camera. More than 8 bits are in mono16."""
     rig = scanner().rig
     sides = zip(("left", "right"), (rig.left, rig.right), images, strict=False)
-    return {
-        f"{side}/image_raw": image_message(types, image, "mono8", stamp_ns(number), camera.frame_id)
-        for side, camera, image in sides
-    }
+    found = {}
+    for side, camera, image in sides:
+        pixels = image if bits == 8 else image.astype(np.uint16) << (bits - 8)
+        encoding = "mono8" if bits == 8 else "mono16"
+        found[f"{side}/image_raw"] = image_message(types, pixels, encoding, stamp_ns(number), camera.frame_id)
+    return found
 
 
 def infos(types: Any, rig: StereoRig, number: int) -> dict[str, Any]:
@@ -84,7 +86,7 @@ def write_manifest(folder: Path, sequence: PatternSequence = SEQUENCE) -> Path:
     return path
 
 
-def write_bag(path: Path, shown: list[int], shows: dict[int, int] | None = None) -> Path:
+def write_bag(path: Path, shown: list[int], shows: dict[int, int] | None = None, bits: int = 8) -> Path:
     """A bag of captures, each of the pattern ``shown``; before those of ``shows`` that number is announced."""
     types = RosbagsTypes()
     with BagWriter(path) as bag:
@@ -95,7 +97,7 @@ def write_bag(path: Path, shown: list[int], shows: dict[int, int] | None = None)
                 bag.write("/scan/shown", number_type(data=shows[number]), at_ns - STEP_NS // 2)
             for topic, message in (*infos(types, scanner().rig, number).items(),):
                 bag.write(f"/{topic}", message, at_ns)
-            for topic, message in messages(types, pictured()[pattern], number).items():
+            for topic, message in messages(types, pictured()[pattern], number, bits).items():
                 bag.write(f"/{topic}", message, at_ns)
     return path
 

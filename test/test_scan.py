@@ -14,6 +14,7 @@ from command_line import CommandLine, Run
 from scanned import SEQUENCE, errors, pictured, projector_rig, scanner, write_bag, write_manifest
 
 from stereo_depth_ros.active.one_shot.stripes import stripe_pattern
+from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.rig import StereoRig
@@ -101,6 +102,21 @@ def test_the_patterns_of_a_longer_bag_are_found(run: Run, tmp_path: Path, manife
     one, many = (disparity(tmp_path / name, scanner().rig) for name in ("1.mcap", "out.mcap"))
     np.testing.assert_array_equal(many, one)
     assert found["valid_fraction"] == pytest.approx(np.isfinite(one).mean())
+
+
+def test_images_of_more_bits_have_one_scale(run: Run, tmp_path: Path, manifest: Path) -> None:
+    """The bits of a camera are found from its images: the first black one has fewer than the white ones later."""
+    black_first = [1, *ALL[1:], 0]
+    sequence = PatternSequence(SEQUENCE.size, tuple(SEQUENCE.patterns[number] for number in (1, *ALL[2:], 0)))
+    write_manifest(tmp_path, sequence)
+    shown = [*black_first[:1], *black_first[2:]]
+    for name, bits in (("8", 8), ("12", 12)):
+        bag = write_bag(tmp_path / f"{name}.mcap", shown, bits=bits)
+        assert run("scan", bag, "-o", tmp_path / f"{name}-out.mcap", "--patterns", manifest)[0] == 0
+    one, other = (disparity(tmp_path / f"{name}-out.mcap", scanner().rig) for name in ("8", "12"))
+    assert np.isfinite(other).mean() == pytest.approx(np.isfinite(one).mean(), abs=0.01)
+    both = np.isfinite(one) & np.isfinite(other)
+    assert np.median(np.abs(one - other)[both]) < 0.02  # 255 levels of 4095 instead of 256
 
 
 def test_several_scans_of_one_bag(run: Run, tmp_path: Path, manifest: Path) -> None:

@@ -70,7 +70,7 @@ class Scanner:
         rectified = self._rectifier.rectify(pair)
         sides = (self._rectifier.rectify_left, self._rectifier.rectify_right)
         images = [
-            [rectify(self.patterns.image(each[side])) for each in captures]
+            [rectify(image) for image in self.patterns.images([each[side] for each in captures])]
             for side, rectify in enumerate(sides[: len(shown)])
         ]
         decoding = time.perf_counter()

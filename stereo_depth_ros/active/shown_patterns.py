@@ -18,10 +18,11 @@ from stereo_depth_ros.active.structured_light.manifest import read_manifest
 from stereo_depth_ros.active.structured_light.order import sequence_fault
 from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
+from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import ImageError
-from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES, read_image
+from stereo_depth_ros.stages.rectification import gray_of_camera
 
 __all__ = ["ShownPatterns", "ShownSequence", "ShownStripes", "pattern_images", "read_patterns"]
 
@@ -41,8 +42,8 @@ class ShownPatterns(Protocol):
     def name(self, number: int) -> str:
         """What a pattern is, by its number from 0."""
 
-    def image(self, frame: Frame) -> U8:
-        """Of a frame, the image that is rectified and decoded: uint8 (H, W), or (H, W, 3) RGB."""
+    def images(self, frames: Sequence[Frame]) -> list[U8]:
+        """Of the frames of one camera, what is rectified and decoded: uint8 (H, W), or (H, W, 3) RGB."""
 
     def decode(self, images: Sequence[U8]) -> ProjectorMap:
         """The projector pixel that each pixel of the images sees, one image for each pattern."""
@@ -70,9 +71,11 @@ class ShownSequence:
         """See :class:`ShownPatterns`."""
         return str(self.sequence.patterns[number])
 
-    def image(self, frame: Frame) -> U8:
-        """See :class:`ShownPatterns`."""
-        return to_gray(frame)
+    def images(self, frames: Sequence[Frame]) -> list[U8]:
+        """See :class:`ShownPatterns`; images of 16 bits have one scale, that of the depth of all of them."""
+        grays, depth = [gray_of_camera(frame) for frame in frames], BitDepth()
+        depth.include(*grays)
+        return [depth.to_8_bit(gray) for gray in grays]
 
     def decode(self, images: Sequence[U8]) -> ProjectorMap:
         """See :class:`ShownPatterns`."""
@@ -80,7 +83,7 @@ class ShownSequence:
 
     def fault(self, frames: Sequence[Frame]) -> str:
         """See :class:`ShownPatterns`."""
-        return sequence_fault(self.sequence, [to_gray(frame) for frame in frames])
+        return sequence_fault(self.sequence, self.images(frames))
 
 
 class ShownStripes:
@@ -98,12 +101,15 @@ class ShownStripes:
         """See :class:`ShownPatterns`."""
         return "color stripes"
 
-    def image(self, frame: Frame) -> U8:
+    def images(self, frames: Sequence[Frame]) -> list[U8]:
         """See :class:`ShownPatterns`.
 
         Raises:
-            ImageError: the frame has no colors.
+            ImageError: a frame has no colors.
         """
+        return [self._rgb(frame) for frame in frames]
+
+    def _rgb(self, frame: Frame) -> U8:
         if frame.encoding == "mono8":
             raise ImageError(
                 "the image is gray, color stripes need colors",
