@@ -139,7 +139,7 @@ def errors_px(result: MatchResult, disparity_px: Disparity, number: int) -> npt.
 def test_pixels_alone_are_matched_by_their_gray_levels_over_time() -> None:
     """The longer they are watched the better: 1 x 1 windows of 2, 6 and 24 pairs."""
     surface: Disparity = lambda x, y, n: 12 + 6 * np.sin(x / 17) * np.cos(y / 13)  # noqa: E731
-    pairs = light(surface, 24, noise=6.0)
+    pairs = light(surface, 24, noise=4.0)
     density, error = [], []
     for count in (2, 6, 24):
         found = matched(pairs[-count:], spacetime_window=1)
@@ -149,7 +149,7 @@ def test_pixels_alone_are_matched_by_their_gray_levels_over_time() -> None:
     assert density[2] > 0.95
     assert error[2] < 0.6 * error[1]
     # The best that an unbiased estimate reaches: noise over the root of the sum of the squared derivatives.
-    noise, slope = np.hypot(6.0, 6.0 / 0.7), 40 / (np.sqrt(2) * 1.2)
+    noise, slope = np.hypot(4.0, 4.0 / 0.7), 40 / (np.sqrt(2) * 1.2)
     assert error[2] < 1.5 * 0.6745 * noise / (slope * np.sqrt(24))
 
 

@@ -196,26 +196,36 @@ def _highest(products: F64, powers: F64) -> float:
 
 
 @compiled(allocates=False)
-def _subpixel(window: I32, k: int, at: int, mean: float, right: _Windows, products: F64, powers: F64) -> float:
-    """Sub-pixel part of index ``k``, with the right window around column ``at``: -1..1, to the side that fits better."""
-    side, top = 0, 0.0
-    for way in (1, -1):
-        if 0 <= k + way < window.size and 0 <= at + way < right.total.size:
-            rho = (np.float64(window[k + way]) - mean * right.total[at + way]) * right.inverse[at + way]
-            if side == 0 or rho > top:
-                side, top = way, rho
-    if side == 0 or right.inverse[at] == 0 or top <= 0:
-        return 0.0
-    # Of what is beyond the search range or the image, the last window within is repeated.
-    first = 0 if not (0 <= k - side < window.size and 0 <= at - side < right.total.size) else -1
-    last = 1 if not (0 <= k + 2 * side < window.size and 0 <= at + 2 * side < right.total.size) else 2
+def _load(window: I32, k: int, at: int, side: int, mean: float, right: _Windows, products: F64, powers: F64) -> bool:
+    """Load the windows -1, 0, 1, 2 columns to a side of index ``k``, column ``at``; false if the next one is missing.
+
+    Of the others that are beyond the search range or the image, the last window within is repeated.
+    """
+    count, width = window.size, right.total.size
+    if not (0 <= k + side < count and 0 <= at + side < width) or right.inverse[at] == 0:
+        return False
+    first = -1 if 0 <= k - side < count and 0 <= at - side < width else 0
+    last = 2 if 0 <= k + 2 * side < count and 0 <= at + 2 * side < width else 1
     for i in range(4):
         here = side * min(max(i - 1, first), last)
         products[i] = np.float64(window[k + here]) - mean * right.total[at + here]
         for j in range(4):
             there = side * min(max(j - 1, first), last)
             powers[i, j] = right.powers[abs(here - there), at + min(here, there)]
-    return side * _highest(products, powers)
+    return True
+
+
+@compiled(allocates=False)
+def _subpixel(window: I32, k: int, at: int, mean: float, right: _Windows, products: F64, powers: F64) -> float:
+    """Sub-pixel part of index ``k``, with the right window around column ``at``: -1..1, 0 where a neighbor is missing.
+
+    The cubic has one derivative at the window itself, which tells the side of the maximum.
+    """
+    if not _load(window, k, at, 1, mean, right, products, powers):
+        return 0.0
+    if _moved(0.05, products, powers) >= _moved(-0.05, products, powers):
+        return _highest(products, powers)
+    return -_highest(products, powers) if _load(window, k, at, -1, mean, right, products, powers) else 0.0
 
 
 @compiled(allocates=False)
