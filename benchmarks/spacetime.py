@@ -10,8 +10,8 @@ IMAGES is a folder of left and right images with left.yaml and right.yaml, as `s
 The object is where the light changes: the standard deviation of the gray levels over time is above 3, opened by 5 x 5
 pixels. Noise is 1.4826 times the median absolute residual to a quadric fitted to 15 x 15 pixels, the median over the
 patches that are on the object and whose disparities, by all pairs, fit to a quadric within a quarter of a pixel. It is
-compared with that of a single pair in windows of the same size, without a check but the left-right one, on the patches
-that have both.
+compared with that of a single pair in windows of the same size, at least 5, without a check but the left-right one, on
+the patches that have both.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def table(pairs: Sequence[tuple[U8, U8]], counts: Sequence[int], window: int, se
     """Print a row for each number of pairs and both kinds of windows; the rows and the last disparities."""
     on = object_of(pairs)
     sgm, _ = timed("sgm", pairs, 1, 1, **search)
-    fields = {**search, "spacetime_window": window, "uniqueness_ratio": 0.0, "speckle_size": 0}
+    fields = {**search, "spacetime_window": max(window, 5), "uniqueness_ratio": 0.0, "speckle_size": 0}
     single = residuals(timed("spacetime", pairs, 1, 1, **fields)[0].disparity_px, on)
     rows: list[dict[str, float]] = []
     results = {}

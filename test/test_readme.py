@@ -201,6 +201,10 @@ def check_results(names: Mapping[str, Any]) -> None:
     if "match" in names:
         assert names["match"].disparity_px.shape == names["match"].reasons.shape == (480, 640)
         np.testing.assert_array_equal(names["match"].disparity_px[found], names["result"].disparity.disparity_px[found])
+    if "alone" in names:
+        kept = np.isfinite(names["last"].disparity.disparity_px)
+        np.testing.assert_array_equal(names["alone"].disparity_px[kept], names["last"].disparity.disparity_px[kept])
+        assert kept.mean() > 0.5
     if "columns" in names:
         assert names["columns"].column_px.shape == (240, 320)
         assert (names["columns"].reasons == 0).mean() > 0.5

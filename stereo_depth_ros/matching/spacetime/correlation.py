@@ -39,6 +39,7 @@ STEPS_PER_PX = 64
 SPECKLE_STEPS_PER_PX = 8  # 4096 disparities fit in 16 bits
 LEAST_CORRELATION = 0.5  # below it the windows do not show the same
 LEAST_DEVIATION = 0.5  # gray levels, of a window with texture: less is rounding
+LAGS = 4  # of the four windows that a cubic goes through
 MIDDLE = 128  # subtracted from the gray levels, so that products fit in 15 bits
 LARGEST_WINDOW = (1 << 31) // MIDDLE**2  # samples whose products fit in 32 bits
 _COST_STEPS = np.float32(32767)  # of 1 - rho, 0..2, in a key
@@ -71,12 +72,11 @@ class WindowOutput(NamedTuple):
 
 
 class _Windows(NamedTuple):
-    """Statistics of the windows around the pixels of one row, (W,) each."""
+    """Statistics of the windows around the pixels of one row."""
 
-    total: F64  # sum I
-    squares: F64  # sum I^2 - (sum I)^2 / n
-    inverse: F64  # 1 / sqrt(squares), 0 without texture
-    next: F64  # the same as squares of the window and of the one a column to the right
+    total: F64  # (W,) sum J
+    inverse: F64  # (W,) 1 / sqrt(sum J^2 - (sum J)^2 / n), 0 without texture
+    powers: F64  # (lags, W) sum J0 J1 - sum J0 sum J1 / n of the window and of the one 0, 1 ... columns to the right
 
 
 @compiled(allocates=False)
@@ -99,33 +99,33 @@ def _add_row(value: np.int32, others: U8, sums: I32) -> None:
 
 
 @compiled(allocates=False)
-def _add_squares(image: U8, sign: int, sums: I64) -> None:
-    """Add one row to the sums of each column: of the values, their squares, their products with the next column."""
+def _add_powers(image: U8, sign: int, sums: I64) -> None:
+    """Add one row to the sums of each column: of the values, and of their products with those 0, 1 ... to the right."""
     last = image.size - 1
     for x in range(image.size):
-        here, beside = np.int64(image[x]) - MIDDLE, np.int64(image[min(x + 1, last)]) - MIDDLE
-        sums[0, x] += sign * here
-        sums[1, x] += sign * here * here
-        sums[2, x] += sign * here * beside
+        here = sign * (np.int64(image[x]) - MIDDLE)
+        sums[0, x] += here
+        for lag in range(len(sums) - 1):
+            sums[1 + lag, x] += here * (np.int64(image[min(x + lag, last)]) - MIDDLE)
 
 
 @compiled(allocates=False)
 def _describe(sums: I64, half: int, samples: int, windows: _Windows) -> None:
     width = windows.total.size
-    total = square = product = np.int64(0)
-    for x in range(2 * half):
-        total, square, product = total + sums[0, x], square + sums[1, x], product + sums[2, x]
+    for n in range(len(sums)):
+        values = windows.total if n == 0 else windows.powers[n - 1]
+        running = np.int64(0)
+        for x in range(2 * half):
+            running += sums[n, x]
+        for x in range(width):
+            running += sums[n, x + 2 * half]
+            values[x] = running
+            running -= sums[n, x]
     for x in range(width):
-        enters = x + 2 * half
-        total, square, product = total + sums[0, enters], square + sums[1, enters], product + sums[2, enters]
-        windows.total[x] = total
-        squares = square - np.float64(total) * total / samples
-        windows.squares[x] = squares
-        textured = squares > samples * LEAST_DEVIATION * LEAST_DEVIATION
-        windows.inverse[x] = 1 / np.sqrt(squares) if textured else 0.0
-        beside = total - sums[0, x] + sums[0, min(enters + 1, sums.shape[1] - 1)]
-        windows.next[x] = product - np.float64(total) * beside / samples
-        total, square, product = total - sums[0, x], square - sums[1, x], product - sums[2, x]
+        for lag in range(len(sums) - 1):
+            windows.powers[lag, x] -= windows.total[x] * windows.total[min(x + lag, width - 1)] / samples
+        textured = windows.powers[0, x] > samples * LEAST_DEVIATION * LEAST_DEVIATION
+        windows.inverse[x] = 1 / np.sqrt(windows.powers[0, x]) if textured else 0.0
 
 
 @compiled(allocates=False)
@@ -150,46 +150,82 @@ def _make_keys(window: I32, mean: float, inverse: float, totals: F64, inverses: 
 
 
 @compiled(allocates=False)
-def _between(here: float, beside: float, squares: float, squares_beside: float, product: float) -> tuple[float, float]:
-    """Part s, 0..1, of the way to the adjacent right window at which the correlation is highest, and that maximum.
+def _moved(s: float, products: F64, powers: F64) -> float:
+    """Correlation, times the root of the power of I, with the right window moved by s, 0..1, towards its neighbor.
 
-    J is linear between the two windows J0 and J1: J = (1 - s) J0 + s J1. With c = sum I (J1 - J0),
-    b = sum J0 (J1 - J0) and e = sum (J1 - J0)^2, the derivative of rho is zero at
-    s = (b sum I J0 - c sum J0^2) / (b c - e sum I J0); sums without the mean. (Psarakis and Evangelidis, "An enhanced
-    correlation-based method for stereo correspondence with sub-pixel accuracy", ICCV 2005.)
+    J(s) is the cubic through four right windows (Catmull and Rom 1974), J(s) = sum h_i(s) J_i, so that
+    rho(s) = sum h_i sum I J_i / sqrt(sum h_i h_j sum J_i J_j), sums without the mean: no image is interpolated.
 
     Args:
-        here, beside: sum I J0 and sum I J1.
-        squares, squares_beside, product: sum J0^2, sum J1^2 and sum J0 J1.
+        products: sum I J_i, (4,).
+        powers: sum J_i J_j, (4, 4).
     """
-    best = here / np.sqrt(squares)
-    c, b, e = beside - here, product - squares, squares - 2 * product + squares_beside
-    divisor = b * c - e * here
-    if divisor == 0:
-        return 0.0, best
-    s = (b * here - c * squares) / divisor
-    if not 0 < s < 1:
-        return 0.0, best
-    power = squares + 2 * s * b + s * s * e
-    rho = (here + s * c) / np.sqrt(power) if power > 0 else best
-    return (s, rho) if rho > best else (0.0, best)
+    h = (
+        ((1 - 0.5 * s) * s - 0.5) * s,
+        (1.5 * s - 2.5) * s * s + 1,
+        ((2 - 1.5 * s) * s + 0.5) * s,
+        (0.5 * s - 0.5) * s * s,
+    )
+    product = power = 0.0
+    for i in range(4):
+        product += h[i] * products[i]
+        for j in range(4):
+            power += h[i] * h[j] * powers[i, j]
+    return product / np.sqrt(power) if power > 0 else -np.inf
 
 
 @compiled(allocates=False)
-def _subpixel(window: I32, k: int, at: int, mean: float, right: _Windows) -> float:
-    """Sub-pixel part of index ``k``, whose right window is around column ``at``: -1..1."""
-    if right.inverse[at] == 0:
+def _vertex(before: float, here: float, after: float) -> float:
+    """Place of the maximum of a parabola through values at -1, 0 and 1: within -1..1, 0 where there is none."""
+    bend = before - 2 * here + after
+    return min(max((before - after) / (2 * bend), -1.0), 1.0) if -np.inf < bend < 0 else 0.0
+
+
+@compiled(allocates=False)
+def _highest(products: F64, powers: F64) -> float:
+    """The s, 0..1, of the highest correlation: steps of 0.2, a parabola, and another one of steps of 0.05."""
+    best, top = 0.0, -np.inf
+    for step in range(1, 5):
+        rho = _moved(0.2 * step, products, powers)
+        if rho > top:
+            best, top = 0.2 * step, rho
+    best += 0.2 * _vertex(_moved(best - 0.2, products, powers), top, _moved(best + 0.2, products, powers))
+    best = min(max(best, 0.05), 0.95)
+    before, here = _moved(best - 0.05, products, powers), _moved(best, products, powers)
+    return best + 0.05 * _vertex(before, here, _moved(best + 0.05, products, powers))
+
+
+@compiled(allocates=False)
+def _load(window: I32, k: int, at: int, side: int, mean: float, right: _Windows, products: F64, powers: F64) -> bool:
+    """Load the windows -1, 0, 1, 2 columns to a side of index ``k``, column ``at``; false if the next one is missing.
+
+    Of the others that are beyond the search range or the image, the last window within is repeated.
+    """
+    count, width = window.size, right.total.size
+    if not (0 <= k + side < count and 0 <= at + side < width) or right.inverse[at] == 0:
+        return False
+    first = -1 if 0 <= k - side < count and 0 <= at - side < width else 0
+    last = 2 if 0 <= k + 2 * side < count and 0 <= at + 2 * side < width else 1
+    for i in range(4):
+        here = side * min(max(i - 1, first), last)
+        products[i] = np.float64(window[k + here]) - mean * right.total[at + here]
+        for j in range(4):
+            there = side * min(max(j - 1, first), last)
+            powers[i, j] = right.powers[abs(here - there), at + min(here, there)]
+    return True
+
+
+@compiled(allocates=False)
+def _subpixel(window: I32, k: int, at: int, mean: float, right: _Windows, products: F64, powers: F64) -> float:
+    """Sub-pixel part of index ``k``, with the right window around column ``at``: -1..1, 0 where a neighbor is missing.
+
+    The cubic has one derivative at the window itself, which tells the side of the maximum.
+    """
+    if not _load(window, k, at, 1, mean, right, products, powers):
         return 0.0
-    here = np.float64(window[k]) - mean * right.total[at]
-    moved, best = 0.0, 0.0
-    for side in (1, -1):
-        if 0 <= k + side < window.size and 0 <= at + side < right.total.size and right.inverse[at + side] > 0:
-            beside = np.float64(window[k + side]) - mean * right.total[at + side]
-            product = right.next[min(at, at + side)]
-            s, rho = _between(here, beside, right.squares[at], right.squares[at + side], product)
-            if rho > best:
-                moved, best = side * s, rho
-    return moved
+    if _moved(0.05, products, powers) >= _moved(-0.05, products, powers):
+        return _highest(products, powers)
+    return -_highest(products, powers) if _load(window, k, at, -1, mean, right, products, powers) else 0.0
 
 
 @compiled(allocates=False)
@@ -201,6 +237,8 @@ def _take(
     textured: bool,
     mean: float,
     right: _Windows,
+    products: F64,
+    powers: F64,
     search: WindowSearch,
     output: WindowOutput,
 ) -> int:
@@ -211,7 +249,9 @@ def _take(
     rival = second_key(keys, search.ramp, k)
     second = first if rival == NO_KEY else np.float32(rival >> _TOTAL)
     margin = (second - first) / max(second, np.float32(1))
-    index = np.rint((k + _subpixel(window, k, x - search.max_disparity + k, mean, right)) * STEPS_PER_PX) / STEPS_PER_PX
+    at = x - search.max_disparity + k
+    moved = _subpixel(window, k, at, mean, right, products, powers)
+    index = np.rint((k + moved) * STEPS_PER_PX) / STEPS_PER_PX
     output.disparity_px[y, x] = search.max_disparity - index
     output.coarse[y, x] = np.int16((keys.size - 1 - index) * SPECKLE_STEPS_PER_PX)
     output.margin[y, x] = margin
@@ -237,6 +277,8 @@ def _winners_row(
     keys: U32,
     right_keys: U32,
     best: U16,
+    products: F64,
+    powers: F64,
     search: WindowSearch,
     output: WindowOutput,
 ) -> None:
@@ -257,7 +299,7 @@ def _winners_row(
             part = slice(begin, end)
             _make_keys(window[part], mean, inverse, totals, inverses, search.ramp[part], keys[part])
             lower_keys(keys, right_keys[x : x + count])
-            best[x] = _take(window, keys, x, y, inverse > 0, mean, right, search, output)
+            best[x] = _take(window, keys, x, y, inverse > 0, mean, right, products, powers, search, output)
         else:
             best[x] = 0
             output.reasons[y, x] = _BORDER
@@ -285,20 +327,21 @@ def match_rows(first: int, last: int, left: U8, right: U8, search: WindowSearch,
     side = 2 * search.half + 1
     samples = pairs * side * side
     sums = np.zeros((padded, search.ramp.size), np.int32)
-    left_sums, right_sums = np.zeros((3, padded), np.int64), np.zeros((3, padded), np.int64)
+    left_sums, right_sums = np.zeros((2, padded), np.int64), np.zeros((1 + LAGS, padded), np.int64)
     window, keys = np.zeros(search.ramp.size, np.int32), np.zeros(search.ramp.size, np.uint32)
     right_keys, best = np.zeros(width + search.ramp.size, np.uint32), np.zeros(width, np.uint16)
-    left_windows = _Windows(np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width))
-    right_windows = _Windows(np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width))
+    products, powers = np.zeros(4), np.zeros((4, 4))
+    left_windows = _Windows(np.zeros(width), np.zeros(width), np.zeros((1, width)))
+    right_windows = _Windows(np.zeros(width), np.zeros(width), np.zeros((LAGS, width)))
     for y in range(first - 2 * search.half, last):
         for row, sign in ((y + 2 * search.half, 1), (y - 1, -1)):
             if sign > 0 or y > first:
                 for n in range(pairs):
                     _add_products(left[n, row], right[n, row], search.max_disparity, sign, sums)
-                    _add_squares(left[n, row], sign, left_sums)
-                    _add_squares(right[n, row], sign, right_sums)
+                    _add_powers(left[n, row], sign, left_sums)
+                    _add_powers(right[n, row], sign, right_sums)
         if y >= first:
             _describe(left_sums, search.half, samples, left_windows)
             _describe(right_sums, search.half, samples, right_windows)
-            arrays = window, keys, right_keys, best
+            arrays = window, keys, right_keys, best, products, powers
             _winners_row(y, sums, samples, left_windows, right_windows, *arrays, search, output)

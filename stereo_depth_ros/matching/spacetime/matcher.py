@@ -45,7 +45,7 @@ class SpaceTimeMatcher(SerialMatcher):
 
     The matching cost is 1 - rho, with rho the zero-mean normalized correlation of the two windows over x, y and t, see
     :mod:`~stereo_depth_ros.matching.spacetime.correlation`: gain and offset of the cameras do not matter. The sub-pixel
-    part is where rho has its maximum if the right image is linear between pixels. The images are extended by their
+    part is where rho has its maximum if the right image is cubic between pixels. The images are extended by their
     border pixels.
 
     Invalid are pixels whose window has no texture in space and time (TEXTURE), whose rho is below 0.5 (NO_MATCH), whose
