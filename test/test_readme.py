@@ -201,6 +201,9 @@ def check_results(names: Mapping[str, Any]) -> None:
     if "match" in names:
         assert names["match"].disparity_px.shape == names["match"].reasons.shape == (480, 640)
         np.testing.assert_array_equal(names["match"].disparity_px[found], names["result"].disparity.disparity_px[found])
+    if "from_projector" in names:
+        assert names["from_projector"].disparity_px.shape == (120, 160)
+        assert np.isfinite(names["from_projector"].disparity_px).mean() > 0.35
     if "columns" in names:
         assert names["columns"].column_px.shape == (240, 320)
         assert (names["columns"].reasons == 0).mean() > 0.5
@@ -214,7 +217,7 @@ def check_results(names: Mapping[str, Any]) -> None:
 
 def test_python_examples_are_found() -> None:
     assert {block.document for block in BLOCKS if block.language == "python"} == {
-        *("README.md", "docs/geometry.md", "docs/one_shot.md", "docs/python.md")
+        *("README.md", "docs/geometry.md", "docs/one_shot.md", "docs/projector.md", "docs/python.md")
     }
 
 
