@@ -13,12 +13,16 @@ from itertools import pairwise
 from pathlib import Path
 
 import cv2
+import known_projector
 import numpy as np
 from camera_file_texts import camchain, truth
 from evaluation_scenes import HEIGHT, WIDTH, write_scene
+from known_projector import BESIDE
 from rendered_boards import SIZE, KnownRig, chessboard_points, chessboard_print, poses
 from test_datasets import make_euroc, make_kitti
 
+from stereo_depth_ros.active.structured_light.manifest import MANIFEST, manifest_text
+from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.calibration.calibration_files import write_camera
@@ -119,6 +123,15 @@ def _write_board_images(folder: Path) -> None:
             _write_image(folder / side / f"{number}.png", cv2.resize(fine, SIZE, interpolation=cv2.INTER_AREA))
 
 
+def _write_board_poses(folder: Path) -> None:
+    """Four poses of a board under a Gray code."""
+    sequence = PatternSequence.of_kind("gray", BESIDE.projector_size, rows=True)
+    for number, pose in enumerate(known_projector.poses(BESIDE, 4, seed=6)):
+        for place, image in enumerate(BESIDE.captures(pose, sequence)):
+            _write_image(folder / f"{number}" / f"{place}.png", image)
+    (folder / MANIFEST).write_text(manifest_text(sequence))
+
+
 def _write_image(path: Path, image: U8) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     assert cv2.imwrite(str(path), image)
@@ -155,6 +168,7 @@ def _write_image_pairs(folder: Path) -> None:
 INPUTS: Mapping[str, Callable[[Path], object]] = {
     SAMPLE_BAG: _write_short_bag,
     "board_images": _write_board_images,
+    "board_poses": _write_board_poses,
     "calibration": _write_calibration,
     "camchain.yaml": lambda path: path.write_text(camchain(truth("plumb_bob"), "radtan")),
     "left.png": lambda path: _write_pair(path, path.with_name("right.png")),

@@ -205,6 +205,9 @@ def check_results(names: Mapping[str, Any]) -> None:
         kept = np.isfinite(names["last"].disparity.disparity_px)
         np.testing.assert_array_equal(names["alone"].disparity_px[kept], names["last"].disparity.disparity_px[kept])
         assert kept.mean() > 0.5
+    if "from_projector" in names:
+        assert names["from_projector"].disparity_px.shape == (120, 160)
+        assert np.isfinite(names["from_projector"].disparity_px).mean() > 0.35
     if "columns" in names:
         assert names["columns"].column_px.shape == (240, 320)
         assert (names["columns"].reasons == 0).mean() > 0.5
@@ -218,7 +221,8 @@ def check_results(names: Mapping[str, Any]) -> None:
 
 def test_python_examples_are_found() -> None:
     assert {block.document for block in BLOCKS if block.language == "python"} == {
-        *("README.md", "docs/geometry.md", "docs/one_shot.md", "docs/python.md", "docs/space_time.md")
+        *("README.md", "docs/geometry.md", "docs/one_shot.md", "docs/projector.md", "docs/python.md"),
+        "docs/space_time.md",
     }
 
 

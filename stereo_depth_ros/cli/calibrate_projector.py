@@ -23,7 +23,7 @@ from stereo_depth_ros.cli.calibrate_tables import cameras_table, views_table
 from stereo_depth_ros.cli.camera_info import parse_size
 from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
-from stereo_depth_ros.cli.output import progress_bar, show, warn
+from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, warn
 from stereo_depth_ros.cli.tables import TextTable, facts_table
 from stereo_depth_ros.core.errors import CalibrationError, OutputError
 from stereo_depth_ros.files.output import check_outputs
@@ -113,6 +113,7 @@ def calibrate(
         path for pose in folders for path in pose.images
     ]
     check_outputs([*calibration_files(output), coverage], inputs, reports=[json_file], overwrite=overwrite)
+    prepare_kernels()
     with progress_bar("decoding") as progress:
         found = find_poses(folders, sought, board_of_size, progress)
     warnings = [*first_of(found.skipped), *_warnings(found)]
