@@ -15,7 +15,7 @@ import argparse
 import json
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -25,8 +25,15 @@ import numpy as np
 
 from stereo_depth_ros.active.one_shot.decoding import decode_edges, one_shot
 from stereo_depth_ros.active.one_shot.stripes import read_stripes, stripe_pattern
+from stereo_depth_ros.active.structured_light.correspondence import correspondences, disparity_from_maps
+from stereo_depth_ros.active.structured_light.decoding import decode
+from stereo_depth_ros.active.structured_light.patterns import KINDS, Pattern, PatternSequence
+from stereo_depth_ros.active.structured_light.phase import harmonics, wave_of_images
 from stereo_depth_ros.core.types import F32, F64, U8
 from stereo_depth_ros.files.output import write_file
+from stereo_depth_ros.geometry.epipolar import homogeneous
+from stereo_depth_ros.geometry.fundamental import estimate_fundamental
+from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.projection import Optics, SyntheticScanner
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -48,7 +55,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the rows as JSON")
     arguments = parser.parse_args()
     rows = []
-    for part in (stripes_rendered, stripes_photographed):
+    for part in (patterns_rendered, patterns_captured, stripes_rendered, stripes_photographed):
         for row in part(arguments.data):
             print("| " + " | ".join(row) + " |", flush=True)
             rows.append(row._asdict())
@@ -66,6 +73,132 @@ def median_ms(*calls: Callable[[], object]) -> list[float]:
             if number:
                 taken.append(1e3 * (time.perf_counter() - start))
     return [statistics.median(taken) for taken in times]
+
+
+def patterns_rendered(_: Path) -> Iterator[Row]:
+    """Sequences of patterns on the table-top scene, 640x480, with a projector of 1024x768; times at 1280x720."""
+    for kind in KINDS:
+        sequence = PatternSequence.of_kind(kind, (1024, 768))
+        for seed in (7, 8):
+            scanner = SyntheticScanner(640, 480, (1024, 768), seed=seed)
+            rectifier, truth = Rectifier(scanner.rig), scanner.truth()
+            captures = [scanner.capture(pattern) for pattern in sequence.render()]
+            left_images = [rectifier.rectify_left(image) for image, _ in captures]
+            right_images = [rectifier.rectify_right(image) for _, image in captures]
+            left, right = decode(sequence, left_images), decode(sequence, right_images)
+            assert left.column_px is not None
+            valid = left.reasons == 0
+            shadow = cv2.erode((~truth.lit).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            off: F32 = np.abs(left.column_px - truth.column_px)[valid & truth.lit]
+            data = f"{kind}, {len(sequence)} images, rendered, seed {seed}"
+            share = np.count_nonzero(valid & truth.lit) / np.count_nonzero(truth.lit)
+            yield Row(data, "lit pixels with a column", f"{share:.1%}")
+            yield Row(data, "within 1 projector px, median", f"{np.mean(off < 1):.2%}, {np.median(off):.3f} px")
+            yield Row(data, "pixels decoded in shadow, 2 px from light", str(np.count_nonzero(valid & shadow)))
+            found = disparity_from_maps(left, right).disparity_px
+            error = np.abs(found - truth.disparity_px)[np.isfinite(found)]
+            yield Row(
+                data, "disparities: within 1 px, median error", f"{np.mean(error < 1):.2%}, {np.median(error):.3f} px"
+            )
+        large = [cv2.resize(image, (1280, 720)) for image in left_images]
+        times = median_ms(partial(decode, sequence, large), partial(blurred, large))
+        yield Row(
+            f"{kind}, {len(sequence)} images, 1280x720",
+            "time, ratio to cv2.GaussianBlur of 5x5 of all images",
+            f"{times[0]:.0f} ms, {times[0] / times[1]:.1f}",
+        )
+
+
+def patterns_captured(data: Path) -> Iterator[Row]:
+    """Captures of other programs: a flat screen and a scene by Gray code, phases against the code of the same views."""
+    screen = data / "structured_light" / "zeng_graycode_plane"
+    if not screen.is_dir():
+        return
+    patterns = [Pattern("ambient"), Pattern("white"), Pattern("black")]
+    patterns += [each for axis, offset in (("columns", 128), ("rows", 968)) for each in gray_code(axis, 12, offset)]
+    sequence = PatternSequence((3840, 2160), tuple(patterns))
+    left, right = (
+        decode(sequence, [read_gray(screen / f"{number:02d}-{side}.png") for number in range(len(sequence))])
+        for side in ("left", "right")
+    )
+    left_px, right_px = correspondences(left, right)
+    H = cv2.findHomography(left_px, right_px, cv2.USAC_MAGSAC, 1.0)[0]
+    mapped = homogeneous(left_px) @ H.T
+    off = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - right_px, axis=1)
+    yield Row(
+        "Gray code, flat screen, 1280x720", "cells, median from one homography", f"{len(off)}, {np.median(off):.3f} px"
+    )
+
+    scene = data / "active" / "e_graycode_two_views_joep"
+    patterns = [Pattern("white"), Pattern("black"), *gray_code("columns", 10), *gray_code("rows", 10)]
+    sequence = PatternSequence((960, 540), tuple(patterns))
+    views = [
+        decode(sequence, [read_gray(scene / f"view{view}" / f"{n:02d}.jpg") for n in range(len(sequence))])
+        for view in (0, 1)
+    ]
+    left_px, right_px = correspondences(views[0], views[1])
+    lines = homogeneous(left_px) @ estimate_fundamental(left_px, right_px).F.T
+    off = np.abs((homogeneous(right_px) * lines).sum(axis=1)) / np.hypot(lines[:, 0], lines[:, 1])
+    yield Row(
+        "Gray code, two views, 1200x800",
+        "cells, within 1 px of one epipolar geometry, median",
+        f"{len(off)}, {np.mean(off < 1):.1%}, {np.median(off):.3f} px",
+    )
+
+    axes = [(axis, period) for axis, length in (("columns", 960), ("rows", 540)) for period in (length / 16, length)]
+    steps = [sinusoid(axis, period, shift) for axis, period in axes for shift in (0, 120, 240)]
+    sequence = PatternSequence((960, 540), (Pattern("white"), Pattern("black"), *steps))
+    for view, coded in enumerate(views):
+        folder = data / "active" / "b_phase_two_views_joep" / f"view{view}"
+        found = decode(sequence, [read_gray(folder / f"{n:02d}.jpg") for n in range(len(sequence))])
+        medians = [
+            float(np.nanmedian(np.abs(phase - code)))
+            for phase, code in ((found.column_px, coded.column_px), (found.row_px, coded.row_px))
+            if phase is not None and code is not None
+        ]
+        yield Row(
+            f"phases, view {view}, 1200x800",
+            "median from the Gray code, columns and rows",
+            ", ".join(f"{median:.2f} px" for median in medians),
+        )
+
+    folder = data / "active" / "b_fringe_3freq_cfpe_david"
+    images = [read_gray(folder / f"06{number:02d}h.bmp") for number in range(0, 36, 4)]
+    shifts = (0, -120, -240)
+    sequence = PatternSequence(
+        (1920, 1080), tuple(sinusoid("columns", period, shift) for period in (42, 45, 48) for shift in shifts)
+    )
+    wave = wave_of_images(np.stack(images[:3]), range(3), 42, shifts, 0.5, np.zeros(images[0].shape, np.uint8))
+    compensated = 2 * np.pi * np.hypot(*harmonics(wave).T) / np.sqrt(2)
+    times = median_ms(partial(decode, sequence, images))
+    found = decode(sequence, images)
+    yield Row("phases of 42, 45, 48 px, 640x480", "pixels with a column", f"{np.mean(found.reasons == 0):.1%}")
+    yield Row(
+        "phases of 42, 45, 48 px, 640x480",
+        "error of the gamma that is compensated, rms; time",
+        f"{np.hypot(*compensated[:2]):.3f} rad, {times[0]:.0f} ms",
+    )
+
+
+def gray_code(axis: str, bits: int, offset_px: int = 0) -> list[Pattern]:
+    """Each bit and its inverse, the coarsest first."""
+    return [
+        Pattern("gray", axis, bit, inverse, offset_px=offset_px)
+        for bit in range(bits - 1, -1, -1)
+        for inverse in (False, True)
+    ]
+
+
+def sinusoid(axis: str, period_px: float, shift_deg: float) -> Pattern:
+    return Pattern("phase", axis, period_px=period_px, shift_deg=shift_deg)
+
+
+def blurred(images: Sequence[U8]) -> list[U8]:
+    return [np.asarray(cv2.GaussianBlur(image, (5, 5), 0), np.uint8) for image in images]
+
+
+def read_gray(path: Path) -> U8:
+    return np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
 def stripes_rendered(_: Path) -> Iterator[Row]:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import os
 import re
 import runpy
@@ -25,6 +26,8 @@ from stereo_bags import messages_of
 from test_config import WIDER
 from test_dependencies import ROSDEP_KEYS
 
+from stereo_depth_ros.active.structured_light.decoding import check_sequence
+from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
 from stereo_depth_ros.core.types import F32
@@ -95,9 +98,9 @@ def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def test_every_block_is_shell_python_or_output() -> None:
+def test_every_block_is_shell_python_json_or_output() -> None:
     """Any other language would not be tested."""
-    assert {block.language for block in BLOCKS} == {"bash", "python", "text"}
+    assert {block.language for block in BLOCKS} == {"bash", "json", "python", "text"}
     fences = sum(read(document).count("```") for document in DOCUMENTS)
     assert fences == 2 * len(BLOCKS)
 
@@ -221,9 +224,21 @@ def check_results(names: Mapping[str, Any]) -> None:
 
 def test_python_examples_are_found() -> None:
     assert {block.document for block in BLOCKS if block.language == "python"} == {
-        *("README.md", "docs/geometry.md", "docs/one_shot.md", "docs/projector.md", "docs/python.md"),
+        "README.md",
+        "docs/geometry.md",
+        "docs/one_shot.md",
+        "docs/projector.md",
+        "docs/python.md",
         "docs/space_time.md",
+        "docs/structured_light.md",
     }
+
+
+def test_json_is_a_manifest_of_patterns_that_can_be_decoded() -> None:
+    blocks = [block for block in BLOCKS if block.language == "json"]
+    assert [block.document for block in blocks] == ["docs/structured_light.md"]
+    for block in blocks:
+        check_sequence(PatternSequence.from_json(json.loads(block.text)))
 
 
 # What the documents state that a target runs

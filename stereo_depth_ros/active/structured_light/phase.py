@@ -275,10 +275,18 @@ def unwrap_by_periods(waves: Sequence[Wave], length_px: int, reasons: U8) -> tup
     return found, sigma
 
 
+@compiled(allocates=False)
+def _add_costs(rest: float, step: float, weight: float, costs: F32) -> None:
+    """Add the weighted squares of the distances of rest, rest + step, ... to whole numbers."""
+    for k in range(costs.size):
+        apart = rest + np.float32(k) * step
+        apart -= np.floor(apart + np.float32(0.5))
+        costs[k] += apart * apart * weight
+
+
 @compiled(
     f"void(int64, int64, float32[::1], float64, float32[:, :, ::1], float32[:, :, ::1], {_FLOATS}, {_FLOATS}, "
-    f"{_FLOATS}, {_FLOATS})",
-    allocates=False,
+    f"{_FLOATS}, {_FLOATS})"
 )
 def _best_period(
     first: int,
@@ -292,12 +300,10 @@ def _best_period(
     cost: F32,
     margin: F32,
 ) -> None:
-    count = periods.size
-    period = periods[0]
-    half = np.float32(0.5)
-    last_k = int(length_px / period) + 1
+    count, period, half, one = periods.size, periods[0], np.float32(0.5), np.float32(1.0)
     floor = np.float32(_TURN_FLOOR * _TURN_FLOOR)
     beyond = half + np.float32(_BEYOND) * period
+    costs = np.empty(int(length_px / period) + 4, np.float32)
     for y in range(first, last):
         for x in range(found.shape[1]):
             found[y, x], sigma[y, x], cost[y, x], margin[y, x] = np.nan, np.nan, np.nan, np.nan
@@ -307,22 +313,21 @@ def _best_period(
             if not usable:
                 continue
             own = sigmas[y, x, 0] * sigmas[y, x, 0] + floor
-            best, second, at = np.float32(np.inf), np.float32(np.inf), -1
-            for k in range(-1, last_k + 1):
-                place = period * (turns[y, x, 0] + np.float32(k))
-                if place < -beyond or place > np.float32(length_px - 1) + beyond:
-                    continue
-                total = np.float32(0.0)
-                for i in range(1, count):
-                    ratio = period / periods[i]
-                    variance = sigmas[y, x, i] * sigmas[y, x, i] + floor + ratio * ratio * own
-                    rest = place / periods[i] - turns[y, x, i]
-                    rest -= np.floor(rest + half)
-                    total += rest * rest / variance
-                if total < best:
-                    second, best, at = best, total, k
-                elif total < second:
-                    second = total
+            start = int(np.ceil(-beyond / period - turns[y, x, 0]))
+            places = int(np.floor((np.float32(length_px - 1) + beyond) / period - turns[y, x, 0])) + 1 - start
+            costs[:places] = np.float32(0.0)
+            for i in range(1, count):
+                ratio = period / periods[i]
+                weight = one / (sigmas[y, x, i] * sigmas[y, x, i] + floor + ratio * ratio * own)
+                _add_costs((turns[y, x, 0] + np.float32(start)) * ratio - turns[y, x, i], ratio, weight, costs[:places])
+            best, second, at = np.float32(np.inf), np.float32(np.inf), start
+            for k in range(places):
+                if costs[k] < best:
+                    second, best, at = best, costs[k], start + k
+                elif costs[k] < second:
+                    second = costs[k]
+            if best == np.float32(np.inf):
+                continue
             place = period * (turns[y, x, 0] + np.float32(at))
             weights = np.float32(0.0)
             mean = np.float32(0.0)
