@@ -140,7 +140,9 @@ def view(
             metavar="PX", help="Set the disparity that lies at the screen; it is that of the subject by default."
         ),
     ] = None,
-    texture: Annotated[Path | None, typer.Option(metavar="IMAGE", help="Repeat this image in the stereogram.")] = None,
+    texture: Annotated[
+        Path | None, typer.Option(metavar="IMAGE", help="Use this image, repeated, in place of random dots.")
+    ] = None,
     legend: Annotated[bool, typer.Option("--legend", help="Draw a legend beside the colors.")] = False,
     near: Annotated[
         float, typer.Option(min=0, metavar="M", help="Set the depth with the lightest color; 0 is the 1st percentile.")
