@@ -86,6 +86,9 @@ def test_other_filters_by_hand(pair: tuple[U8, U8]) -> None:
     found = rgb(anaglyph(left, right, "half-color", "green-magenta"))
     expected = np.stack([rgb(right)[..., R], gray(left), rgb(right)[..., B]], axis=-1)
     assert np.abs(found - expected).max() <= 0.51
+    found = rgb(anaglyph(left, right, "optimized", "green-magenta"))
+    own = rgb(left) @ (0.25, 0.5, 0.25)
+    assert np.abs(found - np.stack([rgb(right)[..., R], own, rgb(right)[..., B]], axis=-1)).max() <= 0.51
     found = rgb(anaglyph(left, right, "optimized", "amber-blue"))
     last = 0.7 * rgb(right)[..., G] + 0.3 * rgb(right)[..., R]
     assert np.abs(found - np.stack([rgb(left)[..., R], rgb(left)[..., G], last], axis=-1)).max() <= 0.51

@@ -126,6 +126,7 @@ def test_view_of_images_is_near_the_truth(run: Run, pair: tuple[Path, Path], tmp
     room = rendered_views()
     blended = cv2.addWeighted(room.left, 0.5, room.right, 0.5, 0)
     found = psnr(read(tmp_path / "view.png"), room.at(0.5))
+    # sgm does not see how far the ambiguous checkerboard of the room is; with true disparities it is 38 dB
     assert found > 28 and found > psnr(blended, room.at(0.5)) + 5
 
 

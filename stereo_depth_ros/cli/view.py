@@ -91,15 +91,18 @@ def view(
     position: Annotated[
         float | None,
         typer.Option(
-            min=-0.5, max=1.5, metavar="-0.5..1.5", help="View from between the cameras: 0 is left, 1 is right."
+            min=-0.5,
+            max=1.5,
+            metavar="-0.5..1.5",
+            help="Draw the view from between the cameras: 0 is left, 1 is right.",
         ),
     ] = None,
-    sweep: Annotated[bool, typer.Option("--sweep", help="Move the view between the cameras, as a video.")] = False,
+    sweep: Annotated[bool, typer.Option("--sweep", help="Draw views from left to right and back, as a video.")] = False,
     anaglyph: Annotated[
         str | None,
         typer.Option(
             metavar="METHOD",
-            help=f"Anaglyph: {', '.join(ANAGLYPH_METHODS)}.",
+            help=f"Draw an anaglyph by this method: {', '.join(ANAGLYPH_METHODS)}.",
             autocompletion=lambda: [*ANAGLYPH_METHODS],
         ),
     ] = None,
@@ -107,37 +110,45 @@ def view(
         str | None,
         typer.Option(
             metavar="NAME",
-            help=f"Both images in one: {', '.join(LAYOUTS)} (rows).",
+            help=f"Draw both images in one: {', '.join(LAYOUTS)} (rows).",
             autocompletion=lambda: [*LAYOUTS],
         ),
     ] = None,
-    wiggle: Annotated[bool, typer.Option("--wiggle", help="Animation from left to right and back, .gif.")] = False,
+    wiggle: Annotated[
+        bool, typer.Option("--wiggle", help="Draw an animation from left to right and back, .gif.")
+    ] = False,
     stereogram: Annotated[
-        bool, typer.Option("--stereogram", help="Random dots that show depth without glasses, or --texture.")
+        bool, typer.Option("--stereogram", help="Draw random dots, or --texture, that show depth without glasses.")
     ] = False,
     disparity_color: Annotated[
-        bool, typer.Option("--disparity-color", help="Disparity as colors, over the range searched.")
+        bool, typer.Option("--disparity-color", help="Draw the disparity as colors, over the range searched.")
     ] = False,
-    depth_color: Annotated[bool, typer.Option("--depth-color", help="Depth as colors, over --near and --far.")] = False,
+    depth_color: Annotated[
+        bool, typer.Option("--depth-color", help="Draw the depth as colors, over --near and --far.")
+    ] = False,
     filters: Annotated[
         str,
         typer.Option(
             metavar="NAME",
-            help=f"Glasses of --anaglyph: {', '.join(ANAGLYPH_FILTERS)}.",
+            help=f"Use these filters for --anaglyph: {', '.join(ANAGLYPH_FILTERS)}.",
             autocompletion=lambda: [*ANAGLYPH_FILTERS],
         ),
     ] = ANAGLYPH_FILTERS[0],
     convergence: Annotated[
         float | None,
-        typer.Option(metavar="PX", help="Disparity that lies at the screen; that of the subject by default."),
+        typer.Option(
+            metavar="PX", help="Set the disparity that lies at the screen; it is that of the subject by default."
+        ),
     ] = None,
-    texture: Annotated[Path | None, typer.Option(metavar="IMAGE", help="Repeat this image in the stereogram.")] = None,
-    legend: Annotated[bool, typer.Option("--legend", help="Add a legend to the colors.")] = False,
+    texture: Annotated[
+        Path | None, typer.Option(metavar="IMAGE", help="Use this image, repeated, in place of random dots.")
+    ] = None,
+    legend: Annotated[bool, typer.Option("--legend", help="Draw a legend beside the colors.")] = False,
     near: Annotated[
-        float, typer.Option(min=0, metavar="M", help="Depth with the lightest color; 0 is the 1st percentile.")
+        float, typer.Option(min=0, metavar="M", help="Set the depth with the lightest color; 0 is the 1st percentile.")
     ] = 0.0,
     far: Annotated[
-        float, typer.Option(min=0, metavar="M", help="Depth with the darkest color; 0 is the 99th percentile.")
+        float, typer.Option(min=0, metavar="M", help="Set the depth with the darkest color; 0 is the 99th percentile.")
     ] = 0.0,
     camera_info: CameraInfo = None,
     matcher: Matcher = None,

@@ -42,8 +42,8 @@ _DUBOIS: Mapping[str, tuple[tuple[float, ...], ...]] = {
 }
 # Of each pair of filters: the channel that one filter passes alone, and the image that is seen through it (0 left).
 _ALONE: Mapping[str, tuple[int, int]] = {"red-cyan": (0, 0), "green-magenta": (1, 0), "amber-blue": (2, 1)}
-# What replaces a channel that is seen alone (optimized): 0.7 and 0.3 of these channels
-_REPLACED = {0: (1, 2), 1: (0, 2), 2: (1, 0)}
+# What replaces a channel that is seen alone (optimized), of red, green and blue; green has most of the lightness
+_REPLACED = {0: (0.0, 0.7, 0.3), 1: (0.25, 0.5, 0.25), 2: (0.3, 0.7, 0.0)}
 
 
 def anaglyph(left: U8, right: U8, method: str = "dubois", filters: str = "red-cyan") -> U8:
@@ -85,9 +85,10 @@ def anaglyph_matrix(method: str, filters: str) -> F64:
 
     ``true`` has each image in gray, without green where a filter passes green and another channel; ``gray`` has it in
     all channels; ``color`` keeps the channels of each image; ``half-color`` has gray in the channel that one filter
-    passes alone; ``optimized`` has 0.7 and 0.3 of the other two channels there (P. Wimmer 2001, for red: 0.7 green and
-    0.3 blue), since a red surface would be bright for one side and dark for the other. ``dubois``: E. Dubois, A
-    projection method to generate anaglyph stereo images, ICASSP 2001.
+    passes alone; ``optimized`` has other channels there, since a red surface would be bright for one side and dark for
+    the other: 0.7 green and 0.3 blue for red (P. Wimmer 2001), 0.7 green and 0.3 red for blue, half of its own and a
+    quarter of each other one for green. ``dubois``: E. Dubois, A projection method to generate anaglyph stereo images,
+    ICASSP 2001.
 
     Raises:
         ConfigError: unknown method or filters.
@@ -110,7 +111,7 @@ def anaglyph_matrix(method: str, filters: str) -> F64:
         if method in ("true", "gray") or (method == "half-color" and channel == alone):
             image[:] = 0.0 if method == "true" and channel == 1 != alone else _GRAY
         elif method == "optimized" and channel == alone:
-            image[list(_REPLACED[channel])] = 0.7, 0.3
+            image[:] = _REPLACED[channel]
         else:
             image[channel] = 1.0
     return matrix.reshape(3, 6)
