@@ -65,7 +65,7 @@ class LightStripeConfig(Checked):
         high=1000.0,
         unit="m",
     )
-    stripe_agreement: float = parameter(
+    max_stripe_difference: float = parameter(
         1.0,
         "Largest difference in disparity between light plane and second camera, where both give a point.",
         low=0.01,
