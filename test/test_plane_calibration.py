@@ -78,6 +78,13 @@ def test_boards_that_do_not_determine_the_plane_are_refused() -> None:
     assert "differ by up to 0." in found.value.problem
 
 
+def test_a_laser_at_the_camera_is_refused() -> None:
+    plane = np.array([0.999, 0.02, 0.0, -0.0001])
+    frames = [(f"{number}", board_image(each, plane)) for number, each in enumerate(POSES)]
+    with pytest.raises(CalibrationError, match=r"passes 0\.\d mm from the camera, its rays meet it at 0\.\d+ degrees"):
+        calibrated(*frames)
+
+
 def test_too_few_poses_and_another_camera_are_refused() -> None:
     with pytest.raises(CalibrationError, match="found in 2 of 2 images, at least 3 are required"):
         calibrated(*images()[:2])
