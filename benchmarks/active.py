@@ -23,13 +23,19 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from stereo_depth_ros.active.light_stripe.extraction import StripeExtractor
+from stereo_depth_ros.active.light_stripe.plane_calibration import calibrate_plane
 from stereo_depth_ros.active.one_shot.decoding import decode_edges, one_shot
 from stereo_depth_ros.active.one_shot.stripes import read_stripes, stripe_pattern
 from stereo_depth_ros.active.structured_light.correspondence import correspondences, disparity_from_maps
 from stereo_depth_ros.active.structured_light.decoding import decode
 from stereo_depth_ros.active.structured_light.patterns import KINDS, Pattern, PatternSequence
 from stereo_depth_ros.active.structured_light.phase import harmonics, wave_of_images
-from stereo_depth_ros.core.types import F32, F64, U8
+from stereo_depth_ros.calibration.chessboard import Chessboard
+from stereo_depth_ros.camera_files.one_camera import read_camera
+from stereo_depth_ros.config import LightStripeConfig
+from stereo_depth_ros.core.types import F32, F64, U8, Frame
+from stereo_depth_ros.datasets.numbered_images import numbered_images, read_plain_frame
 from stereo_depth_ros.files.output import write_file
 from stereo_depth_ros.geometry.epipolar import homogeneous
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
@@ -55,7 +61,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the rows as JSON")
     arguments = parser.parse_args()
     rows = []
-    for part in (patterns_rendered, patterns_captured, stripes_rendered, stripes_photographed):
+    parts = (
+        *(patterns_rendered, patterns_captured, stripes_rendered, stripes_photographed),
+        *(light_stripe_rendered, light_stripe_on_boards),
+    )
+    for part in parts:
         for row in part(arguments.data):
             print("| " + " | ".join(row) + " |", flush=True)
             rows.append(row._asdict())
@@ -252,6 +262,38 @@ def stripes_photographed(data: Path) -> Iterator[Row]:
     rows = [row[np.isfinite(row)] for row in found.column_px]
     falls, steps = (sum(values) for values in zip(*((np.sum(np.diff(r) < 0), r.size) for r in rows), strict=True))
     yield Row("stripes, hand, 3264x2448", "pixels with a column, decreasing along a row", f"{steps}, {falls}")
+
+
+def light_stripe_rendered(_: Path) -> Iterator[Row]:
+    """A curved laser line, 1280x720, of a Gaussian profile with noise."""
+    y, x = np.indices((720, 1280)).astype(float)
+    place = 400.3 + 0.4 * y[:, 0] + 20 * np.sin(y[:, 0] / 60)
+    exact = 30 + 150 * np.exp(-0.5 * np.square((x - place[:, None]) / 1.8))
+    noisy = exact + 2.0 * np.random.default_rng(0).normal(size=exact.shape)
+    gray = np.asarray(np.clip(np.rint(noisy), 0, 255), np.uint8)
+    color = np.stack((gray // 3, gray, gray // 4), axis=-1)
+    for method in ("ridge", "center"):
+        extractor = StripeExtractor(LightStripeConfig(stripe_method=method, stripe_channel="green"))
+        frames = Frame(gray, 0, "", "mono8"), Frame(color, 0, "", "rgb8")
+        found = extractor.extract(frames[0])
+        off = float(np.sqrt(np.mean(np.square(found.position_px - place))))
+        name = f"laser line, rendered, 1280x720, {method}"
+        yield Row(name, "rms error, median sigma, px", f"{off:.4f}, {np.median(found.sigma_px):.4f}")
+        in_gray, in_color = median_ms(*(partial(extractor.extract, frame) for frame in frames))
+        yield Row(name, "time of a profile, gray and color", f"{in_gray:.2f} ms, {in_color:.2f} ms")
+
+
+def light_stripe_on_boards(data: Path) -> Iterator[Row]:
+    """A laser line on a chessboard in twelve poses."""
+    folder = data / "active" / "c_laser_turntable_srv"
+    camera = read_camera(folder / "calibration4.yaml", (640, 480))
+    images = [(path.name, read_plain_frame(path)) for path in numbered_images([folder / "laser_boards"])]
+    for method in ("ridge", "center"):
+        config = LightStripeConfig(stripe_method=method)
+        result = calibrate_plane(images, Chessboard((8, 6), 0.04), camera, config, 0.16)
+        points = sum(map(len, result.residuals_m))
+        figures = f"{len(result.stripes)}, {points}, {1e3 * result.median_m:.3f} mm"
+        yield Row(f"laser line, boards, {method}", "poses, points, median distance from the plane", figures)
 
 
 def read_rgb(path: Path) -> U8:

@@ -18,15 +18,20 @@ import numpy as np
 from camera_file_texts import camchain, truth
 from evaluation_scenes import HEIGHT, WIDTH, write_scene
 from known_projector import BESIDE
+from light_stripe_images import board_camera, write_boards
 from rendered_boards import SIZE, KnownRig, chessboard_points, chessboard_print, poses
+from rendered_turntable import rendering_camera, write_table
+from stripe_scans import exact_plane, scanner, write_scan
 from test_datasets import make_euroc, make_kitti
 
+from stereo_depth_ros.active.light_stripe.plane_file import write_plane
 from stereo_depth_ros.active.structured_light.manifest import MANIFEST, manifest_text
 from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.calibration.projection import project
+from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.offline.pairs import read_pairs
 
@@ -164,6 +169,11 @@ def _write_image_pairs(folder: Path) -> None:
     _write_calibration(folder)
 
 
+def _camera_beside(path: Path) -> CameraModel:
+    """The camera of the images that are there."""
+    return board_camera() if (path.parent / "laser_boards").exists() else rendering_camera()
+
+
 # What the documents name and a user has: how the tests make it, smaller. The path is that of the name.
 INPUTS: Mapping[str, Callable[[Path], object]] = {
     SAMPLE_BAG: _write_short_bag,
@@ -176,6 +186,11 @@ INPUTS: Mapping[str, Callable[[Path], object]] = {
     "kitti_odometry": make_kitti,
     "MH_01_easy": make_euroc,
     "image_pairs": _write_image_pairs,
+    "laser_boards": write_boards,
+    "laser.yaml": lambda path: write_plane(path, exact_plane(), scanner().rig.left),
+    "scan_images": lambda path: write_scan(path.parent / "scan").joinpath("images").rename(path),
+    "table": write_table,
+    "camera.yaml": lambda path: write_camera(path, _camera_beside(path), "camera"),
 }
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,10 +16,27 @@ from stereo_depth_ros.calibration.projection import camera_matrix
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.types import F64, U8, Frame
 
-__all__ = ["BOARD_PLANE", "board_camera", "board_image", "stripe_image"]
+__all__ = ["BOARD_PLANE", "POSES", "board_camera", "board_image", "pose", "stripe_image", "write_boards"]
 
 # A, B, C, D of the light plane on the boards
 BOARD_PLANE = np.array([0.93, 0.08, 0.36, -0.22]) / np.linalg.norm([0.93, 0.08, 0.36])
+
+
+CENTER = np.array([3.0, 2.0, 0.0]) * SQUARE_M
+
+
+def pose(x: float, y: float, z: float, *rotation: float) -> F64:
+    """The pose of the board whose center is at x, y, z."""
+    turn = np.array(rotation)
+    return np.concatenate([turn, np.array([x, y, z]) - cv2.Rodrigues(turn)[0] @ CENTER])
+
+
+POSES = [
+    pose(0.02, 0.0, 0.46, 0.3, 0.2, 0.05),
+    pose(-0.02, 0.02, 0.6, -0.2, 0.35, -0.1),
+    pose(0.05, -0.03, 0.52, 0.1, -0.4, 0.2),
+    pose(-0.03, 0.01, 0.7, -0.3, -0.2, 0.0),
+]
 
 
 def stripe_image(
@@ -56,3 +74,10 @@ def board_image(pose: F64, plane: npt.ArrayLike = BOARD_PLANE, sigma_m: float = 
     light = green * np.exp(-0.5 * np.square(distance / sigma_m)) * (gray / 235.0 + 0.1)
     color = 0.6 * gray[..., None] + light[..., None] * np.array([0.3, 1.0, 0.05])
     return Frame(np.clip(np.rint(color), 0, 255).astype(np.uint8), 0, "camera", "bgr8")
+
+
+def write_boards(folder: Path) -> None:
+    """Images of the board in all poses."""
+    folder.mkdir()
+    for number, each in enumerate(POSES):
+        assert cv2.imwrite(str(folder / f"{number}.png"), board_image(each).pixels)

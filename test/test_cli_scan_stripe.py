@@ -152,6 +152,17 @@ def test_two_cameras(run: Run, folder: Path) -> None:
     code, _, err = run(folder / "pairs", "-o", folder / "s.mcap", "--kind", "stripe", *cameras)
     assert code == 0, err
     (first, *_) = messages_of(folder / "s.mcap", "/stripe/points2")
+    with BagWriter(folder / "in.mcap") as bag:
+        for number, pair in enumerate(scan_images()):
+            for side, image, camera in zip(("left", "right"), pair, (rig.left, rig.right), strict=True):
+                stamp_ns = number * 10**8
+                message = image_message(RosbagsTypes(), image, "rgb8", stamp_ns, camera.frame_id)
+                bag.write(f"/{side}/image_raw", message, stamp_ns)
+    code, _, err = run(folder / "in.mcap", "-o", folder / "b.mcap", "--kind", "stripe", *cameras)
+    assert code == 0, err
+    same = messages_of(folder / "b.mcap", "/stripe/points2")
+    assert len(same) == 3
+    np.testing.assert_array_equal(cloud(same[0]), cloud(first))
     assert np.median(cloud(first)[:, 2]) == pytest.approx(np.median(points[:, 2]), abs=0.03)
 
 

@@ -117,6 +117,23 @@ def test_profiles_wait_for_the_motion_and_equal_those_of_the_command(folder: Pat
     np.testing.assert_allclose(shift, [-STEPS_M[1], 0, 0], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("motion", "topics"), [("none", set()), ("linear", {"joint_states"}), ("pose", {"motion/pose"})]
+)
+def test_topics_and_services_are_those_of_the_interface(folder: Path, motion: str, topics: set[str]) -> None:
+    parameters = {"laser_file": str(folder / "laser.yaml"), "stripe_motion": motion}
+    with Graph(LightStripeNode, parameters=parameters) as graph:
+        (node,) = graph.nodes
+        subscribed = {f"/{topic}" for topic in {"image_raw", "camera_info"} | topics}
+        found = {end.topic_name: end.msg_type.__name__ for end in node.subscriptions}
+        assert {f"/{topic}": kind.rpartition("/")[2] for topic, kind in node.interface.inputs.items()}.items() >= {
+            name: kind for name, kind in found.items() if name in subscribed
+        }.items()
+        assert subscribed <= found.keys()
+        assert len([name for name in found if name in ("/joint_states", "/motion/pose")]) == len(topics)
+        assert {"/stripe/points2", "/stripe/merged"} <= {end.topic_name for end in node.publishers}
+
+
 def test_poses_and_a_still_scene(folder: Path) -> None:
     with Graph(
         LightStripeNode,

@@ -7,10 +7,9 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from light_stripe_images import BOARD_PLANE, board_camera, board_image
+from light_stripe_images import BOARD_PLANE, POSES, board_camera, board_image, pose
 from rendered_boards import SQUARE_M
 
 from stereo_depth_ros.active.light_stripe.light_plane import LightPlane
@@ -21,25 +20,10 @@ from stereo_depth_ros.config import LightStripeConfig
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_yaml import camera_to_yaml
 from stereo_depth_ros.core.errors import CalibrationError
-from stereo_depth_ros.core.types import F64, Frame
+from stereo_depth_ros.core.types import Frame
 from stereo_depth_ros.datasets.numbered_images import numbered_images, read_plain_frame
 
 BOARD = Chessboard((7, 5), SQUARE_M)
-CENTER = np.array([3.0, 2.0, 0.0]) * SQUARE_M
-
-
-def pose(x: float, y: float, z: float, *rotation: float) -> F64:
-    """The pose of the board whose center is at x, y, z."""
-    turn = np.array(rotation)
-    return np.concatenate([turn, np.array([x, y, z]) - cv2.Rodrigues(turn)[0] @ CENTER])
-
-
-POSES = [
-    pose(0.02, 0.0, 0.46, 0.3, 0.2, 0.05),
-    pose(-0.02, 0.02, 0.6, -0.2, 0.35, -0.1),
-    pose(0.05, -0.03, 0.52, 0.1, -0.4, 0.2),
-    pose(-0.03, 0.01, 0.7, -0.3, -0.2, 0.0),
-]
 
 
 @functools.cache
@@ -92,6 +76,13 @@ def test_boards_that_do_not_determine_the_plane_are_refused() -> None:
         calibrated(*((f"{n}", board_image(each)) for n, each in enumerate(parallel)))
     assert "hold the board at different distances, and tilt it" in str(found.value)
     assert "differ by up to 0." in found.value.problem
+
+
+def test_a_laser_at_the_camera_is_refused() -> None:
+    plane = np.array([0.999, 0.02, 0.0, -0.0001])
+    frames = [(f"{number}", board_image(each, plane)) for number, each in enumerate(POSES)]
+    with pytest.raises(CalibrationError, match=r"passes 0\.\d mm from the camera, its rays meet it at 0\.\d+ degrees"):
+        calibrated(*frames)
 
 
 def test_too_few_poses_and_another_camera_are_refused() -> None:

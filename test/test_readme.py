@@ -23,11 +23,14 @@ import typer
 from command_line import CommandLine, Run
 from documents import BLOCKS, DOCUMENTS, ROOT, Block, Call, make_inputs, output_after, read, setup_value
 from stereo_bags import messages_of
+from stripe_scans import exact_plane, scanner
 from test_config import WIDER
 from test_dependencies import ROSDEP_KEYS
 
+from stereo_depth_ros.active.light_stripe.plane_file import write_plane
 from stereo_depth_ros.active.structured_light.decoding import check_sequence
 from stereo_depth_ros.active.structured_light.patterns import PatternSequence
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.config import CONFIGS, ParameterInfo, parameter_infos
 from stereo_depth_ros.core.types import F32
@@ -149,8 +152,13 @@ def run_block(block: Block, run_calls: list[Call], tmp_path: Path, monkeypatch: 
 
 
 def assert_made(output: Path) -> None:
-    """A bag has points of every pair; a folder or another file is not empty."""
+    """A bag has points of every pair, or profiles of a scan; a folder or a file is not empty."""
     if output.suffix == ".mcap":
+        with BagReader(output) as bag:
+            topics = bag.topics
+        if "/stripe/merged" in topics:
+            assert topics["/stripe/points2"].count >= 2
+            return
         assert len(messages_of(output, "/points2")) == len(messages_of(output, "/left/image_rect")) >= 2
     else:
         assert any(output.iterdir()) if output.is_dir() else output.stat().st_size > 0
@@ -427,7 +435,7 @@ Topics = dict[str, str]  # type by name, both without package
 
 
 @pytest.fixture(scope="module")
-def live_topics() -> dict[str, tuple[Topics, Topics]]:
+def live_topics(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Topics, Topics]]:
     """Subscriptions and publishers of each node while all outputs have subscribers, without those of every node."""
     pytest.importorskip("rclpy", reason="graph tests need ROS 2")
     from graph_harness import Graph
@@ -437,6 +445,7 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
     from stereo_depth_ros.nodes.depth_node import DepthNode
     from stereo_depth_ros.nodes.disparity_node import DisparityNode
     from stereo_depth_ros.nodes.feature_node import FeatureNode
+    from stereo_depth_ros.nodes.light_stripe_node import LightStripeNode
     from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
     from stereo_depth_ros.nodes.rectify_node import RectifyNode
     from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
@@ -453,7 +462,14 @@ def live_topics() -> dict[str, tuple[Topics, Topics]]:
         for topic in kinds.keys() - {"/rosout", "/parameter_events", "/diagnostics"}:
             graph.listen(topic, kinds[topic])
         graph.wait(lambda: all(topics(node.subscriptions) for node in graph.nodes), "subscriptions of every node")
-        return {node.get_name(): (topics(node.subscriptions), topics(node.publishers)) for node in graph.nodes}
+        found = {node.get_name(): (topics(node.subscriptions), topics(node.publishers)) for node in graph.nodes}
+    write_plane(laser := tmp_path_factory.mktemp("laser") / "laser.yaml", exact_plane(), scanner().rig.left)
+    for motion in ("linear", "pose"):
+        with Graph(LightStripeNode, parameters={"laser_file": str(laser), "stripe_motion": motion}) as graph:
+            (node,) = graph.nodes
+            subscribed, published = found.get(node.get_name(), ({}, {}))
+            found[node.get_name()] = subscribed | topics(node.subscriptions), published | topics(node.publishers)
+    return found
 
 
 def named_topics(cell: str) -> set[str]:

@@ -128,6 +128,17 @@ def test_bad_lines_have_reasons_and_no_places() -> None:
     assert profile.reason_counts()["SATURATED"] >= 10
 
 
+def test_short_pieces_are_rejected() -> None:
+    image = np.full((120, 160), 30, np.uint8)
+    for first, count in ((10, 3), (30, 4), (50, 40)):
+        image[first : first + count] = stripe_image(straight, noise=0.0)[first : first + count]
+    image[70:73] = np.roll(image[70:73], 30, axis=1)  # a jump, within a longer piece
+    reasons = extracted(image, stripe_method="center").reasons
+    assert np.flatnonzero(reasons == StripeReason.SPECKLE).tolist() == [10, 11, 12, 70, 71, 72]
+    assert np.flatnonzero(reasons == 0).tolist() == [*range(30, 34), *range(50, 70), *range(73, 90)]
+    assert not extracted(image, stripe_method="center", min_stripe_length=1).reason_counts()["SPECKLE"]
+
+
 def test_an_edge_is_not_a_stripe() -> None:
     image = np.full((60, 160), 40, np.uint8)
     image[:, 80:] = 220

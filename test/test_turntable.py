@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from light_stripe_images import board_camera
+from rendered_turntable import AXIS, CORNERS, SIDE_M, TABLE, rendered, rendering_camera, table_pose
 
 from stereo_depth_ros.active.light_stripe.motion import Turntable, turn
 from stereo_depth_ros.active.light_stripe.table_targets import BoardTarget, MarkerTargets
@@ -19,27 +20,7 @@ from stereo_depth_ros.calibration.chessboard import Chessboard
 from stereo_depth_ros.camera_files.one_camera import read_camera
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.images import to_gray
-from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.datasets.numbered_images import read_plain_frame
-
-AXIS = np.array([0.04, -0.9, -0.42]) / np.linalg.norm([0.04, -0.9, -0.42])
-TABLE = Turntable(AXIS, np.array([0.01, 0.05, 0.45]))
-SIDE_M = 0.03
-CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * SIDE_M / 2
-
-
-K_RENDERED = np.array([[640.0, 0.0, 400.0], [0.0, 640.0, 300.0], [0.0, 0.0, 1.0]])
-
-
-def table_pose(x: float, y: float, roll: float) -> F64:
-    """Pose of a marker on the table, x and y from the axis."""
-    right = np.cross(AXIS, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    frame = np.column_stack((right, np.cross(AXIS, right), AXIS)) @ np.diag([1.0, -1.0, -1.0])
-    pose = np.identity(4)
-    pose[:3, :3] = frame @ cv2.Rodrigues(np.array([0.0, 0.0, roll]))[0]
-    pose[:3, 3] = TABLE.point_m + frame @ [x, y, 0.0]
-    return pose
 
 
 def view(name: str, angle: float, noise_px: float, seed: int) -> TableView:
@@ -100,31 +81,11 @@ def test_views_that_are_not_of_one_table_are_refused() -> None:
         calibrate_turntable([views[0], TableView("b", {9: views[1].targets[0]})], camera)
 
 
-def rendered(angle: float) -> U8:
-    """Markers on a white table, without distortion, uint8 (600, 800)."""
-    dictionary, K = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), np.diag([3.0, 3.0, 1.0]) @ K_RENDERED
-    K[:2, 2] += 1.0  # of pixels a third as large
-    image = np.full((1800, 2400), 225, np.uint8)
-    for number, (x, y) in enumerate(((0.06, 0.0), (-0.05, 0.03), (0.0, -0.06))):
-        marker = cv2.aruco.generateImageMarker(dictionary, 5 + number, 120)
-        print_ = np.pad(marker, 20, constant_values=225)
-        pose = turn(TABLE, angle) @ table_pose(x, y, 0.4 * number)
-        to_board = np.diag([SIDE_M / 120, SIDE_M / 120, 1.0])
-        to_board[:2, 2] = -79.5 * SIDE_M / 120
-        to_image = K @ np.column_stack((pose[:3, 0], pose[:3, 1], pose[:3, 3])) @ to_board
-        seen = cv2.warpPerspective(print_, to_image, (2400, 1800))
-        inside = cv2.warpPerspective(np.full_like(print_, 255), to_image, (2400, 1800)) == 255
-        image[inside] = seen[inside]
-    return np.asarray(cv2.resize(image, (800, 600), interpolation=cv2.INTER_AREA), np.uint8)
-
-
 def test_markers_are_found_in_images() -> None:
-    finder, K = MarkerTargets(SIDE_M, "DICT_4X4_50"), K_RENDERED
+    finder = MarkerTargets(SIDE_M, "DICT_4X4_50")
     views = [TableView(str(n), finder.find(rendered(angle))) for n, angle in enumerate(np.radians([0, 70, 200]))]
     assert [sorted(each.targets) for each in views] == [[5, 6, 7]] * 3
-    base = board_camera()
-    camera = type(base)(800, 600, "plumb_bob", K, np.zeros(5), np.identity(3), np.column_stack((K, np.zeros(3))))
-    result = calibrate_turntable(views, camera)
+    result = calibrate_turntable(views, rendering_camera())
     assert np.degrees(np.arccos(min(float(result.turntable.axis @ AXIS), 1))) < 0.5
     assert offset_m(result.turntable) < 0.001
     assert finder.find(np.full((60, 80), 128, np.uint8)) == {}

@@ -61,7 +61,7 @@ def test_a_wrong_plane_is_flagged() -> None:
     profile = scanned(shifted)
     counts = profile.found.profile.reason_counts()
     assert counts["DISAGREEMENT"] > 0.8 * len(scanned(None).found.lines)
-    assert scanned(shifted, stripe_agreement=100.0).found.profile.reason_counts()["DISAGREEMENT"] == 0
+    assert scanned(shifted, max_stripe_difference=100.0).found.profile.reason_counts()["DISAGREEMENT"] == 0
 
 
 def profile_of(places: list[float], sigma: float = 0.1) -> StripeProfile:

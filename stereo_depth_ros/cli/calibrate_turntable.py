@@ -90,10 +90,10 @@ def calibrate_table(
     given, positive ones are right-handed about the axis; else they are estimated, and must increase in the order of the
     images. A chessboard must turn by less than 90 degrees between two images.
 
-    \\b
+    \b
     Examples:
       stereo-depth calibrate-turntable table --camera camera.yaml --marker 0.03 --step 90 -o turntable.yaml
-      stereo-depth calibrate-turntable table --laser laser.yaml --target charuco --size 8x11 --square 0.015 \\\\
+      stereo-depth calibrate-turntable table --laser laser.yaml --target charuco --size 8x11 --square 0.015 \\
         -o turntable.yaml
     """
     finder = _finder(context, target, marker, dictionary, size, square)

@@ -40,7 +40,7 @@ COMMANDS: Mapping[str, str] = {
     "view": "Draw one kind of view of a bag or a pair of images: an image, an animation or a video.",
     "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
     "patterns": "Write the patterns that a projector shows for a scan, and their manifest.",
-    "scan": "Compute depth from images of projected patterns, of two cameras or of one camera and a projector.",
+    "scan": "Compute depth from images of projected light: of patterns, or of a light stripe.",
     "convert": "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth.",
     "evaluate": "Compare the disparities of matchers with ground truth, and measure their computing time.",
     "synthesize": "Write a synthetic stereo bag with exact ground truth.",

@@ -120,7 +120,7 @@ def scan(
         ),
     ] = "object",
     ambient: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Subtract this image without the stripe from all images.")
+        Path | None, typer.Option(metavar="FILE", help="Take this image without the stripe as ambient light.")
     ] = None,
     ply: Annotated[
         Path | None,

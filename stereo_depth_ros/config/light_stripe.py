@@ -51,6 +51,9 @@ class LightStripeConfig(Checked):
         low=0.05,
         high=1.0,
     )
+    min_stripe_length: int = parameter(
+        4, "Lines that a piece of the stripe must have; shorter ones are rejected.", low=1, high=1000
+    )
     stripe_min_depth: float = parameter(0.0, "Depth from which stripes are sought.", low=0.0, high=1000.0, unit="m")
     stripe_max_depth: float = parameter(
         0.0, "Depth up to which stripes are sought; 0 means no limit.", low=0.0, high=1000.0, unit="m"
@@ -65,7 +68,7 @@ class LightStripeConfig(Checked):
         high=1000.0,
         unit="m",
     )
-    stripe_agreement: float = parameter(
+    max_stripe_difference: float = parameter(
         1.0,
         "Largest difference in disparity between light plane and second camera, where both give a point.",
         low=0.01,

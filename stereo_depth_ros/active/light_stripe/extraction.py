@@ -79,7 +79,8 @@ class StripeExtractor:
             search = np.tile(np.array([0, length], np.int32), (len(image), 1))
         if self.channel == "auto":
             self.channel = self._best_channel(image, ambient, search, frame.encoding)
-        return self._extract(image, ambient, search, _weights(self.channel, frame.encoding))
+        profile = self._extract(image, ambient, search, _weights(self.channel, frame.encoding))
+        return profile.without_speckles(self._config.min_stripe_length)
 
     def _best_channel(self, image: U8, ambient: U8, search: npt.NDArray[np.int32], encoding: str) -> str:
         if encoding == "mono8":

@@ -38,6 +38,7 @@ MIN_POSES = 3  # two stripes determine the plane, a third one verifies it
 _MIN_POINTS = 10  # of a stripe on a board
 _MAX_TILT_SIGMA_DEG = 0.5  # of the plane, about either axis
 _TRIALS = 300  # of random samples
+_MIN_ANGLE_DEG = 1.0  # between the rays and the light plane
 _NEAR_PX = 1.0  # distance from a line within which points support it
 _OUTLIER_SIGMAS = 4.0
 _ITERATIONS = 20  # of reweighting
@@ -351,6 +352,7 @@ def calibrate_plane(
             remedy="check that laser and camera did not move between the images",
         )
     _check_determined(plane, stripes)
+    _check_angle(plane, stripes)
     residuals = [plane.distances(stripe.points_m) for stripe in stripes]
     return PlaneCalibration(plane, stripes, residuals, channel, dropped, skipped)
 
@@ -409,6 +411,21 @@ def _check_determined(plane: LightPlane, stripes: Sequence[BoardStripe]) -> None
         limit=_MAX_TILT_SIGMA_DEG,
         remedy="hold the board at different distances, and tilt it",
     )
+
+
+def _check_angle(plane: LightPlane, stripes: Sequence[BoardStripe]) -> None:
+    """Raise CalibrationError where the camera looks along the light plane: its rays have no place on it."""
+    points_m = np.concatenate([stripe.points_m for stripe in stripes])
+    sines = np.abs(plane.d_m) / np.linalg.norm(points_m, axis=1)
+    angle_deg = float(np.degrees(np.arcsin(min(float(np.median(sines)), 1.0))))
+    if angle_deg < _MIN_ANGLE_DEG:
+        raise CalibrationError(
+            f"the light plane passes {1e3 * abs(plane.d_m):.1f} mm from the camera, its rays meet it at "
+            f"{angle_deg:.2f} degrees, {_MIN_ANGLE_DEG:g} is the limit",
+            value=angle_deg,
+            limit=_MIN_ANGLE_DEG,
+            remedy="place the laser farther from the camera",
+        )
 
 
 def _because(skipped: Sequence[str]) -> str:

@@ -13,6 +13,8 @@ from stereo_depth_ros.core.types import F32, F64, U8
 
 __all__ = ["StripeProfile", "StripeReason"]
 
+_JUMP_PX = 4.0  # from line to line; the steepest stripe that is accepted moves by less
+
 
 class StripeReason(enum.IntFlag):
     """Why a line of the image has no point; bits of uint8, 0 where it has one."""
@@ -25,6 +27,7 @@ class StripeReason(enum.IntFlag):
     GRAZING = 16  # the ray is nearly parallel to the light plane
     RANGE = 32  # outside the depth range, not in front of the camera, or too far from the axis of a turntable
     DISAGREEMENT = 64  # light plane and second camera give different points
+    SPECKLE = 128  # a piece of too few lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,17 @@ class StripeProfile:
             np.where(lost, np.uint8(reason), self.reasons).astype(np.uint8),
             self.vertical,
         )
+
+    def without_speckles(self, least: int) -> StripeProfile:
+        """The profile without pieces of fewer than ``least`` lines; a piece ends at a gap, or a jump of its place."""
+        lines = self.valid_lines
+        if least <= 1 or not len(lines):
+            return self
+        breaks = (np.diff(lines) > 1) | (np.abs(np.diff(self.position_px[lines])) > _JUMP_PX)
+        piece = np.concatenate(([0], np.cumsum(breaks)))
+        refused = np.zeros(len(self.reasons), bool)
+        refused[lines[np.bincount(piece)[piece] < least]] = True
+        return self.rejected(refused, StripeReason.SPECKLE)
 
     def reason_counts(self) -> dict[str, int]:
         """Number of lines for each reason."""

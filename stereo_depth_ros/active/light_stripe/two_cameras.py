@@ -75,7 +75,7 @@ def stereo_points(
         sines = np.abs(across) / np.linalg.norm(rays, axis=1)
         refused.append((~(sines >= np.sin(np.radians(config.min_plane_angle))), StripeReason.GRAZING))
         with np.errstate(divide="ignore", invalid="ignore"):
-            apart = np.abs(f_baseline / on_plane - d_px) > config.stripe_agreement
+            apart = np.abs(f_baseline / on_plane - d_px) > config.max_stripe_difference
         refused.append((apart & (right.reasons[lines] == 0), StripeReason.DISAGREEMENT))
         depth, sigma = combined_depth(on_plane, depth, plane_slope, slope, sigma_left, sigma_right, shift)
     with np.errstate(invalid="ignore"):
