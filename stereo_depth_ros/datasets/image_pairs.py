@@ -14,7 +14,7 @@ from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES, read_image
 from stereo_depth_ros.messages.side_by_side import WIDE
 
-__all__ = ["ImagePairs", "find_image_pairs", "numbered_images"]
+__all__ = ["ImagePairs", "find_image_pairs"]
 
 Key: TypeAlias = tuple[str | tuple[int, str], ...]  # text and numbers in turn
 Texts: TypeAlias = dict[Path, str]  # path in lower case; equal in a pair except for camera words and padding of numbers
@@ -109,23 +109,6 @@ def find_image_pairs(
         alone = [path for key in sorted(side.keys() - set(keys)) for path in side[key]]
         skipped |= {path: f"{path}: skipped, it has no {other} image" for path in alone}
     return ImagePairs(pairs, list(skipped), list(skipped.values()))
-
-
-def numbered_images(folder: Path, pattern: str = "*") -> list[Path]:
-    """The images of a folder that match a pattern, in the order of the numbers in their names.
-
-    Raises:
-        BagError: there are none.
-    """
-    found = [path for path in folder.glob(pattern) if _is_image(path)]
-    if not found:
-        raise BagError(
-            f"has no images {pattern}" if pattern != "*" else "has no images",
-            subject=str(folder),
-            value=pattern,
-            remedy="name the folder of the images",
-        )
-    return sorted(found, key=lambda path: _key(path.name.lower()))
 
 
 def _paths(folder: Path, files: Iterable[Path]) -> Texts:

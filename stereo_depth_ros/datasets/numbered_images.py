@@ -15,8 +15,12 @@ from stereo_depth_ros.datasets.image_files import list_images, read_image
 __all__ = ["numbered_images", "read_plain_frame"]
 
 
-def numbered_images(places: Iterable[Path]) -> list[Path]:
+def numbered_images(places: Iterable[Path], pattern: str = "*") -> list[Path]:
     """Image files, and those of folders, each folder in the order of the numbers in the names: 2.png before 10.png.
+
+    Args:
+        places: image files, and folders.
+        pattern: of the names of the images in a folder.
 
     Raises:
         BagError: a place that does not exist, or a folder without images.
@@ -25,9 +29,10 @@ def numbered_images(places: Iterable[Path]) -> list[Path]:
     for place in places:
         if not place.exists():
             raise BagError("does not exist", subject=str(place), remedy="name a folder of images")
-        images = sorted(list_images(place), key=_order) if place.is_dir() else [place]
+        images = sorted(list_images(place, pattern), key=_order) if place.is_dir() else [place]
         if not images:
-            raise BagError("holds no images", subject=str(place), remedy="name a folder of images")
+            what = "images" if pattern == "*" else f"images {pattern}"
+            raise BagError(f"holds no {what}", subject=str(place), remedy="name a folder of images")
         found += images
     return found
 

@@ -23,7 +23,8 @@ from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.datasets.image_files import framed, image_frame, read_image, read_pair
-from stereo_depth_ros.datasets.image_pairs import find_image_pairs, numbered_images
+from stereo_depth_ros.datasets.image_pairs import find_image_pairs
+from stereo_depth_ros.datasets.numbered_images import numbered_images
 from stereo_depth_ros.messages.image import decode
 from stereo_depth_ros.offline.pairs import read_pairs
 
@@ -127,7 +128,7 @@ class CaptureSource:
         if not chosen.path.is_dir():
             raise BagError("is neither a bag nor a folder", subject=str(chosen.path), remedy="check the path")
         if self.projector:
-            return [(path,) for path in numbered_images(chosen.path, chosen.left or "*")]
+            return [(path,) for path in numbered_images([chosen.path], chosen.left or "*")]
         return find_image_pairs(chosen.path, chosen.left, chosen.right, side_by_side=chosen.side_by_side).pairs
 
 

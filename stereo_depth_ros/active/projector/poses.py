@@ -23,7 +23,7 @@ from stereo_depth_ros.core.errors import BagError, CalibrationError, ConfigError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.datasets.image_files import list_images, read_image
-from stereo_depth_ros.datasets.image_pairs import numbered_images
+from stereo_depth_ros.datasets.numbered_images import numbered_images
 
 __all__ = ["FoundPoses", "PoseFolder", "find_poses", "pose_folders"]
 
@@ -155,7 +155,7 @@ def find_poses(
 
 
 def _pose_folder(folder: Path, place: Path, patterns: Path | None, projector_size: Size | None) -> PoseFolder:
-    images = tuple(numbered_images(folder))
+    images = tuple(numbered_images([folder]))
     near = (folder / MANIFEST, place / MANIFEST)
     manifest = patterns or next((path for path in near if path.is_file()), None)
     if manifest is not None:
