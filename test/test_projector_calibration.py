@@ -51,6 +51,24 @@ def test_exact_corners_give_camera_projector_and_pose(place: str) -> None:
     assert not found.stereo.dropped and not found.stereo.warnings
 
 
+@pytest.mark.parametrize(
+    ("coefficients", "zero"), [((0.0, 0.0), ("k1", "k2", "p1", "p2", "k3")), ((-0.06, 0.0), ("k2", "p1", "p2", "k3"))]
+)
+def test_coefficients_that_predict_no_pose_are_zero(coefficients: tuple[float, float], zero: tuple[str, ...]) -> None:
+    known = replace(BESIDE, projector=np.array([*BESIDE.projector[:4], *coefficients, 0, 0, 0]))
+    for seed in range(3):
+        found = calibrate_projector(views(known, 7, NOISE_PX, seed), known.projector_size)
+        assert found.zero_coefficients == zero
+
+
+def test_two_poses_of_a_distorted_projector_with_a_known_camera() -> None:
+    known = replace(BESIDE, projector=np.array([*BESIDE.projector[:4], -0.15, 0, 0, 0, 0]))
+    found = calibrate_projector(views(known, 2, NOISE_PX), known.projector_size, camera=known.models[0])
+    assert found.zero_coefficients == ("k2", "p1", "p2", "k3")
+    errors = np.abs(intrinsics(found)[1] - known.projector[:4])
+    assert (errors < 4 * found.stereo.right.sigmas[:4]).all()
+
+
 def test_errors_are_those_of_the_standard_deviations() -> None:
     draws = [calibrate_projector(views(BESIDE, 7, NOISE_PX, seed), BESIDE.projector_size).stereo for seed in range(6)]
     true = np.array([*BESIDE.projector[:4], *BESIDE.rig[3:]])

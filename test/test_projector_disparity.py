@@ -20,6 +20,8 @@ from stereo_depth_ros.core.errors import CalibrationError, ImageError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F64, Reason
+from stereo_depth_ros.diagnosis.checks.rig import check_pair, check_shown
+from stereo_depth_ros.diagnosis.finding import Level
 from stereo_depth_ros.geometry.calibrated_rectification import common_area
 from stereo_depth_ros.geometry.rays import camera_rays, rectify_points
 from stereo_depth_ros.geometry.relative_pose import RelativePose
@@ -142,6 +144,8 @@ def test_rectification_keeps_what_both_have_in_view(place: str) -> None:
     known = PLACES[place]
     rig, (camera, _) = rig_of(known), known.models
     assert rig.baseline_m == pytest.approx(np.linalg.norm(known.rig[3:]))
+    findings = [*check_pair(rig.left, rig.right), check_shown(Rectifier(rig).shown)]
+    assert {finding.level for finding in findings} == {Level.OK}
     area = common_area(rig)
     assert area.width * area.height > 0.25 * rig.width * rig.height
     # every pixel of the camera that sees a lit point of the plane is in the rectified image

@@ -10,10 +10,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from stereo_depth_ros.active.projector.distortion import determined_coefficients
 from stereo_depth_ros.active.projector.first_estimate import (
     MIN_POSES,
     MIN_POSES_KNOWN_CAMERA,
     first_projector,
+    in_camera,
     known_camera,
     new_camera,
     too_few_poses,
@@ -27,7 +29,7 @@ from stereo_depth_ros.calibration.bundle_adjustment import BundleParameters, Bun
 from stereo_depth_ros.calibration.calibration_result import CalibratedCamera, StereoCalibration
 from stereo_depth_ros.calibration.camera_calibration import MIN_LIMIT_PX, CameraSolution, DroppedView, outlier_view
 from stereo_depth_ros.calibration.distortion_range import zeroed_coefficients
-from stereo_depth_ros.calibration.projection import MODELS, distortion_range_px, parameter_names
+from stereo_depth_ros.calibration.projection import distortion_range_px, parameter_names
 from stereo_depth_ros.calibration.stereo_calibration import (
     calibrated_camera,
     check_determined,
@@ -44,9 +46,6 @@ __all__ = ["PROJECTOR_MODELS", "calibrate_projector"]
 
 PROJECTOR_MODELS = ("plumb_bob", "rational_polynomial")  # of lenses that show straight lines nearly straight
 _JACKKNIFE_POSES = 4  # from which leaving one out tells how exact the others are
-_SIGNIFICANT_SIGMAS = 3.0
-# Coefficients of the projector that are free, from many to none: taken are the first of which the last are significant
-_COEFFICIENTS: tuple[tuple[str, ...], ...] = (("k1", "k2", "p1", "p2"), ("k1", "k2"), ("k1",), ())
 _WARN_RATIO = 2.0  # of the rms with the other to that alone
 _SIDES = ("camera", "projector")
 
@@ -62,7 +61,8 @@ def calibrate_projector(
     follows linearly (:func:`resect`) wherever its principal point is: with a lens shift it is outside of the image.
     Bundle adjustment then refines everything together. Outlier poses are dropped one at a time, the worst first.
 
-    Distortion coefficients of the projector are those that differ from 0 by 3 standard deviations; the others are 0.
+    Distortion coefficients of the projector are free if they predict poses that are left out better
+    (:func:`determined_coefficients`); the others are 0.
 
     Args:
         views: poses; left are the corners in the raw image of the camera, right those in the projector, in its px,
@@ -87,8 +87,7 @@ def calibrate_projector(
     kept = [usable[number] for number in alone.kept]
     start, kept = first_projector(kept, alone.solution.parameters, camera is not None, dropped, least)
     solution, kept = _solve(kept, start, dropped, camera is not None, least)
-    solution, zero = _with_coefficients(kept, solution, projector_size)
-    return _result(kept, solution, alone, dropped, projector_size, camera is not None, zero)
+    return _result(kept, solution, alone, dropped, projector_size, camera is not None)
 
 
 def _model(model: str, camera: CameraModel | None) -> str:
@@ -131,12 +130,16 @@ def _usable(views: Sequence[BoardView]) -> tuple[list[BoardView], list[DroppedVi
 
 
 def _solve(
-    views: list[BoardView], start: BundleParameters, dropped: list[DroppedView], camera_known: bool, least: int
+    views: list[BoardView],
+    start: BundleParameters,
+    dropped: list[DroppedView],
+    camera_known: bool,
+    least: int,
 ) -> tuple[BundleSolution, list[BoardView]]:
     """Bundle adjustment of camera and projector, without the poses that do not fit."""
     while True:
         pairs = [(view.left, view.right) for view in views]
-        solution = adjust_bundle(pairs, start, robust=len(views) > MIN_POSES)
+        solution = adjust_bundle(pairs, _with_coefficients(views, start), robust=len(views) > MIN_POSES)
         rms_px = np.hypot(solution.view_rms_px(0), solution.view_rms_px(1)) / np.sqrt(2)
         worst = outlier_view(rms_px) if len(views) > MIN_POSES else None
         if worst is None:
@@ -145,38 +148,25 @@ def _solve(
         text = f"camera and projector: {reason}; the camera alone fits, so the codes are wrong, or one was moved"
         dropped.append(DroppedView(views[at].name, text))
         views = [view for number, view in enumerate(views) if number != at]
-        start = replace(solution.parameters, poses=np.delete(solution.parameters.poses, at, axis=0))
+        start = replace(start, poses=np.delete(start.poses, at, axis=0))
         if len(views) < least:
             raise too_few_poses(len(views), dropped, camera_known)
 
 
-def _with_coefficients(
-    views: Sequence[BoardView], pinhole: BundleSolution, projector_size: Size
-) -> tuple[BundleSolution, tuple[str, ...]]:
-    """The solution with the coefficients of the projector that the poses determine; names of the others."""
-    model, first = pinhole.parameters.model, pinhole.parameters.intrinsics[0].size
-    names = parameter_names(model)
-    pairs = [(view.left, view.right) for view in views]
-    for free in _COEFFICIENTS if len(views) > MIN_POSES_KNOWN_CAMERA else ((),):
-        zero = tuple(name for name in MODELS[model] if name not in free)
-        if not free:
-            break
-        freed = {first + names.index(name) for name in free}
-        start = replace(pinhole.parameters, held=tuple(n for n in pinhole.parameters.held if n not in freed))
-        try:
-            solution = adjust_bundle(pairs, start)
-        except CalibrationError:  # too few corners
-            continue
-        intrinsics = solution.parameters.intrinsics[1]
-        newest = free[-2:] if "p2" in free else free[-1:]
-        sigmas = _sigmas(solution, len(views))[first:]
-        significant = any(
-            abs(intrinsics[names.index(name)]) > _SIGNIFICANT_SIGMAS * sigmas[names.index(name)] for name in newest
-        )
-        range_px, corner_px = distortion_range_px(model, intrinsics, projector_size)
-        if significant and range_px >= corner_px:
-            return solution, zero
-    return pinhole, zero
+def _with_coefficients(views: Sequence[BoardView], start: BundleParameters) -> BundleParameters:
+    """The parameters with the coefficients of the projector free that the poses determine."""
+    first, names = start.intrinsics[0].size, parameter_names(start.model)
+    points_m = [in_camera(pose, view) for pose, view in zip(start.poses, views, strict=True)]
+    image_px = [view.right.image_px for view in views]
+    free = determined_coefficients(start.model, start.intrinsics[1], start.rig, points_m, image_px)
+    freed = {first + names.index(name) for name in free}
+    return replace(start, held=tuple(number for number in start.held if number not in freed))
+
+
+def _zero_coefficients(parameters: BundleParameters) -> tuple[str, ...]:
+    """Names of the coefficients of the projector that are held at 0."""
+    first, names = parameters.intrinsics[0].size, parameter_names(parameters.model)
+    return tuple(names[number - first] for number in parameters.held if number >= first)
 
 
 def _sigmas(solution: BundleSolution, poses: int) -> F64:
@@ -192,7 +182,6 @@ def _result(
     dropped: list[DroppedView],
     projector_size: Size,
     camera_known: bool,
-    zero: tuple[str, ...],
 ) -> ProjectorCalibration:
     parameters, size = solution.parameters, views[0].size
     sigmas = _sigmas(solution, len(views))
@@ -225,9 +214,9 @@ def _result(
         views=tuple(view_errors(solution, views, rows)),
         dropped=tuple(dropped),
         coverage=Coverage.of([placement(view.left, size) for view in views]),
-        warnings=tuple(_warnings(alone.solution.parameters, cameras, len(views), size, camera_known)),
+        warnings=tuple(_warnings(alone.solution.parameters, cameras, len(views), (size, projector_size), camera_known)),
     )
-    return ProjectorCalibration(stereo, projector_size, camera_known, zero)
+    return ProjectorCalibration(stereo, projector_size, camera_known, _zero_coefficients(parameters))
 
 
 def _projector_alone_px(views: Sequence[BoardView], together: BundleParameters) -> float:
@@ -270,12 +259,16 @@ def _check_baseline(T: F64) -> None:
 
 
 def _warnings(
-    camera: BundleParameters, cameras: Sequence[CalibratedCamera], poses: int, size: Size, camera_known: bool
+    camera: BundleParameters,
+    cameras: Sequence[CalibratedCamera],
+    poses: int,
+    sizes: tuple[Size, Size],
+    camera_known: bool,
 ) -> Iterator[str]:
     if poses < _JACKKNIFE_POSES:
         yield (
             f"{poses} poses: the standard deviations are those of the corners alone, as so few poses hardly check each "
-            "other: 10 are recommended"
+            "other; they do not include the coefficients that are 0: 10 poses are recommended"
         )
     if not camera_known and (names := ", ".join(zeroed_coefficients(camera))):
         yield f"the poses do not determine {names} of the camera, fixed at 0: show the board near its image edges"
@@ -285,10 +278,11 @@ def _warnings(
                 f"{side}: rms {one.rms_px:.2f} px with the other, {one.rms_alone_px:.2f} px alone: camera and "
                 "projector moved against each other between the poses, or were zoomed or focused"
             )
-    intrinsics = np.array([*cameras[0].K[[0, 1, 0, 1], [0, 1, 2, 2]], *cameras[0].D])
-    range_px, corner_px = distortion_range_px(camera.model, intrinsics, size)
-    if range_px < corner_px:
-        yield (
-            f"camera: the distortion decreases beyond {range_px:.0f} px from the principal point, the image corners "
-            f"are at {corner_px:.0f} px: show the board there"
-        )
+    for side, one, of_size in zip(_SIDES, cameras, sizes, strict=True):
+        intrinsics = np.array([*one.K[[0, 1, 0, 1], [0, 1, 2, 2]], *one.D])
+        range_px, corner_px = distortion_range_px(camera.model, intrinsics, of_size)
+        if range_px < corner_px:
+            yield (
+                f"{side}: the distortion decreases beyond {range_px:.0f} px from the principal point, the image "
+                f"corners are at {corner_px:.0f} px: show the board there"
+            )

@@ -28,7 +28,15 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["MIN_POSES", "MIN_POSES_KNOWN_CAMERA", "first_projector", "known_camera", "new_camera", "too_few_poses"]
+__all__ = [
+    "MIN_POSES",
+    "MIN_POSES_KNOWN_CAMERA",
+    "first_projector",
+    "in_camera",
+    "known_camera",
+    "new_camera",
+    "too_few_poses",
+]
 
 MIN_POSES, MIN_POSES_KNOWN_CAMERA = 3, 2
 _ALL_COEFFICIENTS_POSES = 5  # fewer do not determine k3 and above
@@ -111,7 +119,7 @@ def first_projector(
     Each pair of poses determines a projector; the one with the least median error over all poses is taken, so that
     poses with a wrong code do not count (least median of squares, Rousseeuw 1984).
     """
-    points = [_in_camera(pose, view) for pose, view in zip(camera.poses, views, strict=True)]
+    points = [in_camera(pose, view) for pose, view in zip(camera.poses, views, strict=True)]
     pairs = list(combinations(range(len(views)), 2))
     best: tuple[float, Resection | None] = (np.inf, None)
     failure: CalibrationError | None = None
@@ -156,7 +164,7 @@ def first_projector(
     return BundleParameters(camera.model, intrinsics, rig, camera.poses[kept], held=tuple(sorted(held))), views
 
 
-def _in_camera(pose: F64, view: BoardView) -> F64:
+def in_camera(pose: F64, view: BoardView) -> F64:
     """The corners that the projector lights, in the frame of the camera, float64 (N, 3), meters."""
     points: F64 = view.right.board_m @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
     return points
