@@ -128,6 +128,15 @@ def test_bad_lines_have_reasons_and_no_places() -> None:
     assert profile.reason_counts()["SATURATED"] >= 10
 
 
+def test_a_channel_that_is_not_saturated_is_enough() -> None:
+    x = np.arange(160.0)
+    exact = 20 + np.outer(np.exp(-0.5 * np.square((x - 80.3) / 3)), [300, 2000, 100]) + np.zeros((120, 1, 1))
+    image = np.clip(np.rint(exact), 0, 255).astype(np.uint8)
+    gray, green = (extracted(image, "rgb8", stripe_channel=channel) for channel in ("gray", "green"))
+    assert green.reason_counts()["SATURATED"] == 120
+    np.testing.assert_allclose(gray.position_px, 80.3, atol=0.1)
+
+
 def test_short_pieces_are_rejected() -> None:
     image = np.full((120, 160), 30, np.uint8)
     for first, count in ((10, 3), (30, 4), (50, 40)):

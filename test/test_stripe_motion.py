@@ -193,6 +193,26 @@ def test_profiles_of_a_moving_board_are_merged_to_one_plane(kind: str, moving: s
     assert len(cloud) == 3
 
 
+def test_points_far_from_the_axis_are_neither_sought_nor_kept() -> None:
+    """A second stripe of the background does not disturb where it is too far from the axis."""
+    scanner = SyntheticStripe(240, 180, flat_scene()[0], sigma_m=0.006)
+    left = scanner.capture()[0]
+    plane, motion = LightPlane.exact(PLANE[:3], float(PLANE[3])), StripeMotion("turntable", "object", None, TABLE)
+    config = LightStripeConfig(stripe_channel="green", max_axis_distance=0.06)
+    found = StripeScanner(plane, scanner.rig.left, config, motion).scan(Frame(left, 0, "", "rgb8"), np.zeros(1)).found
+    far = np.linalg.norm(np.cross(found.points_m - TABLE.point_m, TABLE.axis), axis=1)
+    assert len(far) > 20
+    assert float(far.max()) <= 0.06
+    doubled = np.maximum(left, np.roll(left, -70, axis=1))
+    again = (
+        StripeScanner(plane, scanner.rig.left, config, motion).scan(Frame(doubled, 0, "", "rgb8"), np.zeros(1)).found
+    )
+    assert len(set(found.lines) & set(again.lines)) > 0.9 * len(found.lines)
+    everywhere = StripeScanner(plane, scanner.rig.left, LightStripeConfig(stripe_channel="green"), motion)
+    counts = everywhere.scan(Frame(doubled, 0, "", "rgb8"), np.zeros(1)).found.profile.reason_counts()
+    assert counts["TWO_STRIPES"] > 50
+
+
 def test_a_full_cloud_drops_the_oldest() -> None:
     scanner = SyntheticStripe(64, 48, flat_scene()[0], sigma_m=0.02)
     stripes = StripeScanner(LightPlane.exact(PLANE[:3], float(PLANE[3])), scanner.rig.left, LightStripeConfig())

@@ -295,9 +295,10 @@ def _full_width(signal: I32, low: int, high: int, center: float, reach: int) -> 
 
 @compiled(allocates=False)
 def _is_saturated(image: U8, weights: I32, y: int, x: int) -> bool:
-    found = False
+    """Whether all channels that count are saturated; one that is not still shows where the stripe is brightest."""
+    found = True
     for c in range(len(weights)):
-        found |= weights[c] > 0 and image[y, len(weights) * x + c] >= _SATURATED
+        found &= weights[c] <= 0 or image[y, len(weights) * x + c] >= _SATURATED
     return found
 
 

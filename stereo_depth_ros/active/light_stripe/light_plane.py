@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -165,21 +166,33 @@ def profile_points(
     return ProfilePoints(profile, lines[kept], points_m[kept], sigma_m[kept], profile.level[lines[kept]].astype(float))
 
 
-def search_range(camera: CameraModel, plane: LightPlane, config: LightStripeConfig) -> npt.NDArray[np.int32] | None:
+def search_range(
+    camera: CameraModel,
+    plane: LightPlane,
+    config: LightStripeConfig,
+    near: Callable[[F64], npt.NDArray[np.bool_]] | None = None,
+) -> npt.NDArray[np.int32] | None:
     """Where each line of the image may see the light plane in the depth range, int32 (L, 2), last excluded.
 
-    None without a depth range. The edges are up to a few pixels outside; lines without such a place are empty.
+    None without any limit. The edges are up to a few pixels outside; lines without such a place are empty.
+
+    Args:
+        camera, plane: the light plane in the optical frame of the camera.
+        config: depth range.
+        near: which of some points, float64 (N, 3), are of interest, bool (N,); None for all.
     """
-    if not config.stripe_min_depth and not config.stripe_max_depth:
+    if not config.stripe_min_depth and not config.stripe_max_depth and near is None:
         return None
     vertical = config.stripe_direction == "vertical"
     count, length = (camera.height, camera.width) if vertical else (camera.width, camera.height)
     lines = np.unique(np.append(np.arange(0, count, _COARSE_PX), count - 1)).astype(float)
     places = np.unique(np.append(np.arange(0, length, _COARSE_PX), length - 1)).astype(float)
     grid = np.stack(np.meshgrid(places, lines), axis=-1).reshape(-1, 2)
-    depth = triangulate(grid if vertical else grid[:, ::-1].copy(), camera, plane)[:, 2].reshape(len(lines), -1)
+    points_m = triangulate(grid if vertical else grid[:, ::-1].copy(), camera, plane)
     with np.errstate(invalid="ignore"):
-        inside = (depth >= config.stripe_min_depth) & (depth <= (config.stripe_max_depth or np.inf))
+        wanted = (points_m[:, 2] >= config.stripe_min_depth) & (points_m[:, 2] <= (config.stripe_max_depth or np.inf))
+        wanted &= True if near is None else near(points_m)
+    inside = wanted.reshape(len(lines), -1)
     found = inside.any(axis=1)
     first = np.where(found, places[inside.argmax(axis=1)] - _COARSE_PX, 0)
     last = np.where(found, places[inside.shape[1] - 1 - inside[:, ::-1].argmax(axis=1)] + _COARSE_PX + 1, 0)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -67,7 +68,7 @@ class StripeScanner:
         self.motion = motion or StripeMotion()
         self._plane, self._camera, self._config = plane, camera, config
         self._extractor = StripeExtractor(config, ambient)
-        self._search = None if self.motion.moving == "plane" else search_range(camera, plane, config)
+        self._search = None if self.motion.moving == "plane" else self._search_range(plane)
 
     def scan(self, frame: Frame, value: F64 | None = None) -> ScannedProfile:
         """The profile of an image.
@@ -83,10 +84,15 @@ class StripeScanner:
         motion = self.motion.matrix(np.zeros(0) if value is None else value)
         plane, search = self.motion.plane(self._plane, motion), self._search
         if self.motion.moving == "plane":
-            search = search_range(self._camera, plane, self._config)
+            search = self._search_range(plane)
         found = profile_points(self._extractor.extract(frame, search), self._camera, plane, self._config)
         found = _near_axis(found, self.motion, self._config.max_axis_distance)
         return ScannedProfile(frame.stamp_ns, frame.frame_id, found, self.motion.merged(found.points_m, motion))
+
+    def _search_range(self, plane: LightPlane) -> npt.NDArray[np.int32] | None:
+        limit_m = self._config.max_axis_distance
+        near = None if self.motion.turntable is None or not limit_m else partial(_is_near, self.motion, limit_m)
+        return search_range(self._camera, plane, self._config, near)
 
 
 class StereoStripeScanner:
@@ -173,13 +179,19 @@ class MergedCloud:
         )
 
 
+def _is_near(motion: StripeMotion, limit_m: float, points_m: F64) -> npt.NDArray[np.bool_]:
+    """Which points are within a distance of the axis of the turntable."""
+    assert motion.turntable is not None
+    rotation = np.identity(3) if motion.rotation is None else motion.rotation
+    offsets = points_m @ rotation - motion.turntable.point_m
+    return np.asarray(np.linalg.norm(np.cross(offsets, motion.turntable.axis), axis=1) <= limit_m, bool)
+
+
 def _near_axis(found: ProfilePoints, motion: StripeMotion, limit_m: float) -> ProfilePoints:
     """Without the points that are farther from the axis of a turntable."""
     if motion.turntable is None or not limit_m:
         return found
-    rotation = np.identity(3) if motion.rotation is None else motion.rotation
-    offsets = found.points_m @ rotation - motion.turntable.point_m
-    near = np.linalg.norm(np.cross(offsets, motion.turntable.axis), axis=1) <= limit_m
+    near = _is_near(motion, limit_m, found.points_m)
     far = np.zeros(len(found.profile.reasons), bool)
     far[found.lines[~near]] = True
     return ProfilePoints(
