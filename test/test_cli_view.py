@@ -19,6 +19,7 @@ from stereo_bags import messages_of
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
 from stereo_depth_ros.core.types import U8
@@ -188,6 +189,18 @@ def test_video_has_a_frame_for_each_pair(run: Run, bag: Path, tmp_path: Path) ->
         assert np.abs(found.astype(int) - image).mean() < 12  # compressed
 
 
+def test_pair_that_is_damaged_is_skipped(run: Run, bag: Path, tmp_path: Path) -> None:
+    with BagReader(bag) as reader, BagWriter(tmp_path / "damaged.mcap") as writer:
+        for number, message in enumerate(reader.messages(["/left/image_raw"])):
+            data = message.data[:500] if number == 1 else message.data
+            writer.write_raw(message.topic, message.msgtype, data, message.log_time_ns)
+        for message in reader.messages({*reader.topics} - {"/left/image_raw"}):
+            writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+    code, _, err = run(tmp_path / "damaged.mcap", "--disparity-color", *RANGE, "-o", tmp_path / "v.mp4")
+    assert (code, len(video_frames(tmp_path / "v.mp4"))) == (3, FRAMES - 1)
+    assert re.search("warning: pair .* skipped: ", err) and "1 pairs skipped" in err
+
+
 def test_sweep_moves_from_left_to_right_and_back(run: Run, pair: tuple[Path, Path], tmp_path: Path) -> None:
     assert run(*pair, "--sweep", *RANGE, "-o", tmp_path / "v.mp4")[0] == 0
     frames = [frame[..., 0] for frame in video_frames(tmp_path / "v.mp4")]
@@ -222,6 +235,7 @@ def video_frames(path: Path) -> list[U8]:
             "B --disparity-color --near 3 -o v.png",
             "--near has no effect with --disparity-color: use it with --depth-color",
         ),
+        ("B --depth-color --near 5 --far 3 -o v.png", "depth_near = 5 m is not below depth_far = 3 m.*(--near, --far)"),
         ("B --wiggle -o v.png", "v.png does not end in .gif, as --wiggle of a bag does: name it v.gif"),
         ("B --sweep -o v.png", "does not end in .mp4"),
         ("B --position 0.5 -o v.jpg", "does not end in .png or .mp4"),
