@@ -162,6 +162,24 @@ def test_texture_of_a_stereogram(run: Run, pair: tuple[Path, Path], tmp_path: Pa
     np.testing.assert_array_equal(read(tmp_path / "s.png"), stereogram(frame.disparity_px, texture))
 
 
+@pytest.mark.parametrize("suffix", [".pfm", ".npz"])
+def test_disparity_map_alone(run: Run, tmp_path: Path, suffix: str) -> None:
+    disparity_px = np.tile(np.linspace(3, 20, 210, dtype=np.float32), (40, 1))
+    disparity_px[5:9, 100:110] = np.inf
+    path = tmp_path / f"map{suffix}"
+    if suffix == ".npz":
+        np.savez(path, disparity_px)
+    else:
+        cv2.imwrite(str(path), disparity_px)
+    assert run(path, "--stereogram", "-o", tmp_path / "s.png")[0] == 0
+    np.testing.assert_array_equal(read(tmp_path / "s.png"), stereogram(disparity_px))
+    assert run(path, "--disparity-color", "-o", tmp_path / "c.png")[0] == 0
+    np.testing.assert_array_equal(read(tmp_path / "c.png"), disparity_color(disparity_px, 3, 20))
+    (tmp_path / "bad.pfm").write_bytes(b"Pf\n")
+    code, _, err = run(tmp_path / "bad.pfm", "--stereogram", "-o", tmp_path / "no.png")
+    assert code == 1 and "is not a readable image" in err
+
+
 def test_wiggle_is_an_animation(run: Run, pair: tuple[Path, Path], tmp_path: Path) -> None:
     code, out, _ = run(*pair, "--wiggle", *RANGE, "-o", tmp_path / "w.gif")
     frames = video_frames(tmp_path / "w.gif")
@@ -242,6 +260,13 @@ def video_frames(path: Path) -> list[U8]:
         ("L R --position 0.5 -o v.mp4", "does not end in .png, as --position of images does"),
         ("L R --position 0.5 --start 3 -o v.png", "--start has no effect with images"),
         ("L R --depth-color -o v.png", "--depth-color needs a calibration, images have none: give --camera-info"),
+        ("L R --side-by-side --wiggle -o v.gif", "r.png has no effect with --side-by-side, both images are in"),
+        (
+            "L R --position 0.5 --param queue_size:=3 -o v.png",
+            "queue_size has no effect: it is a parameter of the pairing",
+        ),
+        ("M --position 0.5 -o v.png", "--position needs images, .* is a disparity map: use --stereogram or"),
+        ("M --stereogram --matcher bm -o v.png", "--matcher has no effect with a disparity map: leave it out"),
         ("L --position 0.5 -o v.png", "the image of the right camera is missing"),
         ("L R --position 0.5 --param view_position:=1 -o v.png", "view_position has no effect.*: use the options of"),
         ("L R --position 2 -o v.png", "'--position': Input should be less than or equal to 1.5"),
@@ -250,7 +275,7 @@ def video_frames(path: Path) -> list[U8]:
 def test_wrong_combinations_are_refused(
     run: Run, bag: Path, pair: tuple[Path, Path], tmp_path: Path, arguments: str, message: str
 ) -> None:
-    paths = {"B": bag, "L": pair[0], "R": pair[1]}
+    paths = {"B": bag, "L": pair[0], "R": pair[1], "M": tmp_path / "map.pfm"}
     words = [paths.get(word, tmp_path / word if word.startswith("v.") else word) for word in arguments.split()]
     code, _, err = run(*words)
     assert code == 2
