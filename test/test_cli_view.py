@@ -19,6 +19,7 @@ from stereo_bags import messages_of
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
 from stereo_depth_ros.core.types import U8
@@ -161,6 +162,24 @@ def test_texture_of_a_stereogram(run: Run, pair: tuple[Path, Path], tmp_path: Pa
     np.testing.assert_array_equal(read(tmp_path / "s.png"), stereogram(frame.disparity_px, texture))
 
 
+@pytest.mark.parametrize("suffix", [".pfm", ".npz"])
+def test_disparity_map_alone(run: Run, tmp_path: Path, suffix: str) -> None:
+    disparity_px = np.tile(np.linspace(3, 20, 210, dtype=np.float32), (40, 1))
+    disparity_px[5:9, 100:110] = np.inf
+    path = tmp_path / f"map{suffix}"
+    if suffix == ".npz":
+        np.savez(path, disparity_px)
+    else:
+        cv2.imwrite(str(path), disparity_px)
+    assert run(path, "--stereogram", "-o", tmp_path / "s.png")[0] == 0
+    np.testing.assert_array_equal(read(tmp_path / "s.png"), stereogram(disparity_px))
+    assert run(path, "--disparity-color", "-o", tmp_path / "c.png")[0] == 0
+    np.testing.assert_array_equal(read(tmp_path / "c.png"), disparity_color(disparity_px, 3, 20))
+    (tmp_path / "bad.pfm").write_bytes(b"Pf\n")
+    code, _, err = run(tmp_path / "bad.pfm", "--stereogram", "-o", tmp_path / "no.png")
+    assert code == 1 and "is not a readable image" in err
+
+
 def test_wiggle_is_an_animation(run: Run, pair: tuple[Path, Path], tmp_path: Path) -> None:
     code, out, _ = run(*pair, "--wiggle", *RANGE, "-o", tmp_path / "w.gif")
     frames = video_frames(tmp_path / "w.gif")
@@ -186,6 +205,18 @@ def test_video_has_a_frame_for_each_pair(run: Run, bag: Path, tmp_path: Path) ->
     assert len(frames) == FRAMES
     for found, image in zip(frames, expected, strict=True):
         assert np.abs(found.astype(int) - image).mean() < 12  # compressed
+
+
+def test_pair_that_is_damaged_is_skipped(run: Run, bag: Path, tmp_path: Path) -> None:
+    with BagReader(bag) as reader, BagWriter(tmp_path / "damaged.mcap") as writer:
+        for number, message in enumerate(reader.messages(["/left/image_raw"])):
+            data = message.data[:500] if number == 1 else message.data
+            writer.write_raw(message.topic, message.msgtype, data, message.log_time_ns)
+        for message in reader.messages({*reader.topics} - {"/left/image_raw"}):
+            writer.write_raw(message.topic, message.msgtype, message.data, message.log_time_ns)
+    code, _, err = run(tmp_path / "damaged.mcap", "--disparity-color", *RANGE, "-o", tmp_path / "v.mp4")
+    assert (code, len(video_frames(tmp_path / "v.mp4"))) == (3, FRAMES - 1)
+    assert re.search("warning: pair .* skipped: ", err) and "1 pairs skipped" in err
 
 
 def test_sweep_moves_from_left_to_right_and_back(run: Run, pair: tuple[Path, Path], tmp_path: Path) -> None:
@@ -222,12 +253,20 @@ def video_frames(path: Path) -> list[U8]:
             "B --disparity-color --near 3 -o v.png",
             "--near has no effect with --disparity-color: use it with --depth-color",
         ),
+        ("B --depth-color --near 5 --far 3 -o v.png", "depth_near = 5 m is not below depth_far = 3 m.*(--near, --far)"),
         ("B --wiggle -o v.png", "v.png does not end in .gif, as --wiggle of a bag does: name it v.gif"),
         ("B --sweep -o v.png", "does not end in .mp4"),
         ("B --position 0.5 -o v.jpg", "does not end in .png or .mp4"),
         ("L R --position 0.5 -o v.mp4", "does not end in .png, as --position of images does"),
         ("L R --position 0.5 --start 3 -o v.png", "--start has no effect with images"),
         ("L R --depth-color -o v.png", "--depth-color needs a calibration, images have none: give --camera-info"),
+        ("L R --side-by-side --wiggle -o v.gif", "r.png has no effect with --side-by-side, both images are in"),
+        (
+            "L R --position 0.5 --param queue_size:=3 -o v.png",
+            "queue_size has no effect: it is a parameter of the pairing",
+        ),
+        ("M --position 0.5 -o v.png", "--position needs images, .* is a disparity map: use --stereogram or"),
+        ("M --stereogram --matcher bm -o v.png", "--matcher has no effect with a disparity map: leave it out"),
         ("L --position 0.5 -o v.png", "the image of the right camera is missing"),
         ("L R --position 0.5 --param view_position:=1 -o v.png", "view_position has no effect.*: use the options of"),
         ("L R --position 2 -o v.png", "'--position': Input should be less than or equal to 1.5"),
@@ -236,7 +275,7 @@ def video_frames(path: Path) -> list[U8]:
 def test_wrong_combinations_are_refused(
     run: Run, bag: Path, pair: tuple[Path, Path], tmp_path: Path, arguments: str, message: str
 ) -> None:
-    paths = {"B": bag, "L": pair[0], "R": pair[1]}
+    paths = {"B": bag, "L": pair[0], "R": pair[1], "M": tmp_path / "map.pfm"}
     words = [paths.get(word, tmp_path / word if word.startswith("v.") else word) for word in arguments.split()]
     code, _, err = run(*words)
     assert code == 2

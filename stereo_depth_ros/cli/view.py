@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -43,10 +44,11 @@ from stereo_depth_ros.config.stages import ANAGLYPH_FILTERS, ANAGLYPH_METHODS
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.datasets.disparity_maps import MAP_SUFFIXES, read_disparity_map
 from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES, framed, read_image, read_pair
 from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
 from stereo_depth_ros.files.output import check_outputs, write_file
-from stereo_depth_ros.offline.view_frames import BagFrames, pair_frame
+from stereo_depth_ros.offline.view_frames import BagFrames, map_frame, pair_frame
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.views.anaglyph import anaglyph_matrix
 from stereo_depth_ros.views.frame import ViewFrame
@@ -71,6 +73,7 @@ _BELONG = {
     "near": ("depth_color",),
     "far": ("depth_color",),
 }
+_OF_MAPS = ("stereogram", "disparity_color")  # views that need no images
 _OF_BAGS = ("start", "duration", "left", "right")
 _SWEEP_S = 2.0  # from the left camera to the right one and back
 _SWEEP_HZ = 30.0  # of a pair of images
@@ -80,7 +83,7 @@ _SWEEP_HZ = 30.0  # of a pair of images
 def view(
     context: typer.Context,
     source: Annotated[
-        Path, typer.Argument(metavar="BAG|LEFT", help="Read this bag, or this image of the left camera.")
+        Path, typer.Argument(metavar="BAG|LEFT|MAP", help="Read this bag, image of the left camera, or disparity map.")
     ],
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="FILE", help="Write this file: .png, .gif or .mp4.")
@@ -165,6 +168,7 @@ def view(
 
     An image, .png, and an animation, .gif, are of the first pair; of a bag, --start chooses another one. A video, .mp4,
     has a frame for each pair of a bag. Images are rectified with --camera-info; without it they are rectified already.
+    Of a disparity map, .pfm or .npz, --stereogram and --disparity-color can be drawn.
 
     Exit codes are 0 for success, 1 for an error, 2 for wrong usage and 3 where some pairs were skipped.
 
@@ -175,6 +179,7 @@ def view(
       stereo-depth view drive.mcap --anaglyph dubois --filters green-magenta -o anaglyph.png
       stereo-depth view drive.mcap --depth-color --near 1 --far 20 --legend -o depth.mp4
       stereo-depth view left.png right.png --wiggle -o wiggle.gif
+      stereo-depth view disp0.pfm --stereogram --texture stones.png -o stereogram.png
     """
     kind = _kind(context)
     for name, kinds in _BELONG.items():
@@ -192,46 +197,82 @@ def view(
         depth_far=far,
         color_legend=legend,
     )
-    is_pair = right_image is not None or (side_by_side and source.suffix.lower() in IMAGE_SUFFIXES)
-    _check_suffix(kind, output, is_pair)
-    if is_pair:
-        refuse_ignored(context, _OF_BAGS, "with images", "leave it out")
-        if kind == "depth_color" and not camera_info:
-            raise ConfigError(
-                "--depth-color needs a calibration, images have none",
-                remedy="give --camera-info, or use --disparity-color",
-            )
-    elif source.suffix.lower() in IMAGE_SUFFIXES:
-        raise ConfigError(
-            "the image of the right camera is missing",
-            value=str(source),
-            remedy="name it after that of the left camera, or give --side-by-side where one file holds both",
-        )
+    given = _given(source, right_image, side_by_side)
+    _check_suffix(kind, output, given)
+    _check_source(context, kind, given, source, bool(camera_info))
     file = read_parameters(params_file)
-    stages = ("pairing", "matching", "rectification")
+    stages = _STAGES[given]
     values = {**file, **given_parameters(param or (), matcher, file=file, stages=stages, remedies=_REMEDIES)}
     pipeline = pipeline_config(values)
     files = rig_files(camera_info) if camera_info else []
-    images = [source, right_image or source] if is_pair else bag_files(source)
-    inputs = [*images, *files, *([texture] if texture else []), *parameter_files(params_file, values)]
+    sources = bag_files(source) if given == "a bag" else [source, right_image or source]
+    inputs = [*sources, *files, *([texture] if texture else []), *parameter_files(params_file, values)]
     check_outputs([output], inputs, overwrite=overwrite)
     drawing = _Drawing(config, layout or LAYOUTS[0], read_image(texture) if texture else None)
-    prepare_kernels(pipeline.matching)
-    if is_pair:
-        frames: BagFrames | list[ViewFrame] = [_pair(source, right_image or source, camera_info, pipeline)]
-        rate_hz = _SWEEP_HZ
-    else:
+    prepare_kernels(pipeline.matching if given != "a disparity map" else None)
+    frames: BagFrames | list[ViewFrame]
+    rate_hz = _SWEEP_HZ
+    if given == "a bag":
         selection = BagSelection(source, left, right, start, duration, side_by_side, tuple(camera_info or ()))
         frames = BagFrames(selection, pipeline)
         rate_hz = frames.rate_hz if output.suffix.lower() == ".mp4" else 0.0
-    if kind == "sweep" and is_pair:
-        frames = list(frames) * round(_SWEEP_S * _SWEEP_HZ)
+    elif given == "images":
+        frames = [_pair(source, right_image or source, camera_info, pipeline)]
+        frames *= round(_SWEEP_S * _SWEEP_HZ) if kind == "sweep" else 1
+    else:
+        frames = [map_frame(read_disparity_map(source))]
     _write(drawing, kind, frames, rate_hz, output, overwrite)
     if isinstance(frames, BagFrames):
         _finish(frames)
 
 
 _REMEDIES = {"view": "use the options of this command"}
+# By what is given: the stages whose parameters have an effect, and the options that have none
+_STAGES: Mapping[str, tuple[str, ...]] = {
+    "a bag": ("pairing", "matching", "rectification"),
+    "images": ("matching",),
+    "a disparity map": (),
+}
+_IGNORED: Mapping[str, tuple[str, ...]] = {
+    "a bag": (),
+    "images": _OF_BAGS,
+    "a disparity map": (*_OF_BAGS, "camera_info", "matcher", "param", "params_file", "side_by_side"),
+}
+
+
+def _given(source: Path, right_image: Path | None, side_by_side: bool) -> str:
+    """What the views are drawn from."""
+    if right_image is not None or (side_by_side and source.suffix.lower() in IMAGE_SUFFIXES):
+        if right_image is not None and side_by_side:
+            raise ConfigError(
+                f"{right_image} has no effect with --side-by-side, both images are in {source}",
+                remedy="name one image",
+            )
+        return "images"
+    return "a disparity map" if source.suffix.lower() in MAP_SUFFIXES else "a bag"
+
+
+def _check_source(context: typer.Context, kind: str, given: str, source: Path, calibrated: bool) -> None:
+    """Refuse options and views that what is given does not have."""
+    refuse_ignored(context, _IGNORED[given], f"with {given}", "leave it out")
+    if given == "a bag" and source.suffix.lower() in IMAGE_SUFFIXES:
+        raise ConfigError(
+            "the image of the right camera is missing",
+            value=str(source),
+            remedy="name it after that of the left camera, or give --side-by-side where one file holds both",
+        )
+    if given == "a disparity map" and kind not in _OF_MAPS:
+        raise ConfigError(
+            f"{_option(kind)} needs images, {source} is a disparity map",
+            value=str(source),
+            limit=_OF_MAPS,
+            remedy=f"use {' or '.join(map(_option, _OF_MAPS))}, or name both images",
+        )
+    if given == "images" and kind == "depth_color" and not calibrated:
+        raise ConfigError(
+            "--depth-color needs a calibration, images have none",
+            remedy="give --camera-info, or use --disparity-color",
+        )
 
 
 def _option(kind: str) -> str:
@@ -248,13 +289,12 @@ def _kind(context: typer.Context) -> str:
     return given[0]
 
 
-def _check_suffix(kind: str, output: Path, is_pair: bool) -> None:
+def _check_suffix(kind: str, output: Path, given: str) -> None:
     """Refuse a file of another type than the view has."""
-    possible = {"sweep": (".mp4",), "wiggle": (".gif",)}.get(kind, (".png",) if is_pair else (".png", ".mp4"))
+    possible = {"sweep": (".mp4",), "wiggle": (".gif",)}.get(kind, (".png", ".mp4") if given == "a bag" else (".png",))
     if output.suffix.lower() not in possible:
-        types = " or ".join(possible)
         raise ConfigError(
-            f"--output {output} does not end in {types}, as {_option(kind)} of {'images' if is_pair else 'a bag'} does",
+            f"--output {output} does not end in {' or '.join(possible)}, as {_option(kind)} of {given} does",
             value=output.suffix,
             limit=possible,
             remedy=f"name it {output.stem or 'view'}{possible[0]}",

@@ -16,6 +16,7 @@ from stereo_depth_ros.config.light_stripe import LightStripeConfig, StripeMotion
 from stereo_depth_ros.config.matching import MatchingConfig
 from stereo_depth_ros.config.parameter import Checked, parameter
 from stereo_depth_ros.config.structured_light import StructuredLightConfig
+from stereo_depth_ros.core.errors import ConfigError
 
 __all__ = [
     "ANAGLYPH_FILTERS",
@@ -237,6 +238,17 @@ class ViewConfig(Checked):
         0.0, "Depth with the darkest color of depth_color; 0 is the 99th percentile.", low=0.0, high=10000.0, unit="m"
     )
     color_legend: bool = parameter(False, "Add a legend to disparity_color and depth_color, beside the image.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.depth_near and self.depth_far and self.depth_near >= self.depth_far:
+            raise ConfigError(
+                f"depth_near = {self.depth_near:g} m is not below depth_far = {self.depth_far:g} m",
+                value=self.depth_near,
+                limit=self.depth_far,
+                remedy="exchange them, or set one of them to 0",
+                settings=("near", "far"),
+            )
 
 
 @dataclass(frozen=True)

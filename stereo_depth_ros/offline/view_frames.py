@@ -17,13 +17,13 @@ from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import CameraOrderError, ImageError, StereoDepthError
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import U8, Frame, StereoPair
+from stereo_depth_ros.core.types import F32, U8, Frame, StereoPair
 from stereo_depth_ros.diagnosis.opening import no_pair_error, open_selection, skipped_text
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.pipeline import StereoPipeline
 from stereo_depth_ros.views.frame import ResultFrames, ViewFrame
 
-__all__ = ["BagFrames", "pair_frame"]
+__all__ = ["BagFrames", "map_frame", "pair_frame"]
 
 _RATE_PAIRS = 50  # of which the median interval is the rate
 
@@ -83,6 +83,14 @@ class BagFrames:
             if not done:
                 raise no_pair_error(pairs, self._selection.path, refused.values())
             self.warnings += [*([pairs.warning] if pairs.warning else []), *pairs.losses, *refused.values()]
+
+
+def map_frame(disparity_px: F32) -> ViewFrame:
+    """The frame of disparities alone, float32 (H, W), px, not finite where invalid; its range is theirs."""
+    valid = disparity_px[np.isfinite(disparity_px)]
+    low, high = (float(valid.min()), float(valid.max())) if valid.size else (0.0, 1.0)
+    known_px = np.where(np.isfinite(disparity_px), disparity_px, np.float32(np.nan))
+    return ViewFrame(known_px, 0.0, (low, high), None)
 
 
 def pair_frame(left: U8, right: U8, rig: StereoRig | None, config: PipelineConfig) -> ViewFrame:

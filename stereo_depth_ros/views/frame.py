@@ -21,7 +21,7 @@ from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.outputs import ResultMessages
 from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.depth import depth_from_disparity
-from stereo_depth_ros.views.color_order import bgr_pixels
+from stereo_depth_ros.views.color_order import as_bgr, bgr_pixels
 
 __all__ = ["RECTIFIED", "ResultFrames", "ViewFrame"]
 
@@ -61,6 +61,8 @@ class ViewFrame:
             side: bgr_pixels(frame.pixels, frame.encoding)
             for side, frame in ((("left", pair.left), ("right", pair.right)) if pair else ())
         }
+        if len({image.ndim for image in images.values()}) > 1:  # one camera has color and the other has not
+            images = {side: as_bgr(image) for side, image in images.items()}
         return cls(
             published_disparity(message, topic),
             rig.doffs_px,

@@ -54,12 +54,10 @@ class VideoFile:
             self._size = (width, height)
             codec = cv2.VideoWriter.fourcc(*"mp4v")
             self._writer = cv2.VideoWriter(str(self._file), cv2.CAP_FFMPEG, codec, self._rate_hz, self._size)
-        if not self._writer.isOpened() or (width, height) != self._size:
-            problem = (
-                "OpenCV cannot write MPEG-4" if (width, height) == self._size else "the size of the images changes"
-            )
+        is_same = (width, height) == self._size
+        if not self._writer.isOpened() or not is_same:
             raise OutputError(
-                problem,
+                "OpenCV cannot write MPEG-4" if is_same else f"the size changes to {width}x{height}",
                 subject=str(self._output.path),
                 value=(width, height),
                 limit=self._size,
