@@ -220,9 +220,9 @@ def check_results(names: Mapping[str, Any]) -> None:
     if "from_projector" in names:
         assert names["from_projector"].disparity_px.shape == (120, 160)
         assert np.isfinite(names["from_projector"].disparity_px).mean() > 0.35
-    if "matched" in names:
-        error = np.abs(names["matched"].disparity_px - names["scanner"].truth().disparity_px)
-        assert np.isfinite(error).mean() > 0.5 and np.nanmedian(error) < 0.1
+    if "scan" in names:
+        errors_px = np.abs(names["scan"].disparity_px - names["scanner"].truth().disparity_px)
+        assert np.nanmedian(errors_px) < 0.05
     if "columns" in names:
         assert names["columns"].column_px.shape == (240, 320)
         assert (names["columns"].reasons == 0).mean() > 0.5
