@@ -160,7 +160,7 @@ def assert_made(output: Path) -> None:
         if "/stripe/merged" in topics:
             assert topics["/stripe/points2"].count >= 2
             return
-        assert len(messages_of(output, "/points2")) == len(messages_of(output, "/left/image_rect")) >= 2
+        assert len(messages_of(output, "/points2")) == len(messages_of(output, "/left/image_rect")) >= 1
     else:
         assert any(output.iterdir()) if output.is_dir() else output.stat().st_size > 0
 
