@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from graph_harness import Graph
@@ -20,6 +21,7 @@ from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 from stereo_msgs.msg import DisparityImage
 
+from stereo_depth_ros.active.one_shot.stripes import stripe_pattern
 from stereo_depth_ros.active.scanner import Scanner
 from stereo_depth_ros.active.shown_patterns import ShownSequence
 from stereo_depth_ros.bags.message_types import RosbagsTypes
@@ -27,10 +29,13 @@ from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.disparity import matched_disparity
+from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.nodes.message_types import RclpyTypes
 from stereo_depth_ros.nodes.structured_light_node import StructuredLightNode
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
+from stereo_depth_ros.synthetic.projection import SyntheticScanner
 
 pytestmark = pytest.mark.graph
 
@@ -164,6 +169,33 @@ def test_one_camera_and_a_projector(tmp_path: Path) -> None:
         assert found.mean() > 0.4
         assert 0.7 < np.median(depth_m[found]) < 1.5
         assert heard[0].header.frame_id == rig.left.frame_id
+
+
+def test_color_stripes_make_every_pair_a_scan(tmp_path: Path) -> None:
+    own, pattern = SyntheticScanner(240, 180, (256, 192)), stripe_pattern((256, 192), stripe_px=4)
+    cv2.imwrite(str(tmp_path / "stripes.png"), cv2.cvtColor(pattern, cv2.COLOR_RGB2BGR))
+    pairs = [own.capture(pattern) for _ in range(2)]
+    cameras, sides = (own.rig.left, own.rig.right), ("left", "right")
+    with Graph(StructuredLightNode, parameters={"patterns": tmp_path / "stripes.png"}) as graph:
+        heard = graph.listen("disparity", DisparityImage)
+        for number, images in enumerate(pairs, start=1):
+            stamp_ns = number * 10**9
+            sent = {
+                f"{side}/camera_info": camera_info_message(TYPES, camera, stamp_ns)
+                for side, camera in zip(sides, cameras, strict=True)
+            }
+            for side, camera, image in zip(sides, cameras, images, strict=True):
+                sent[f"{side}/image_raw"] = image_message(TYPES, image, "rgb8", stamp_ns, camera.frame_id)
+            graph.send(sent)
+            graph.wait(lambda n=number: len(heard) == n, f"scan {number}")
+        for message, number in zip(heard, (1, 2), strict=True):
+            assert message.header.stamp.sec == number
+            found = matched_disparity(message, own.rig)
+            error = np.abs(found - own.truth().disparity_px)[np.isfinite(found)]
+            assert np.isfinite(found).mean() > 0.25 and np.mean(error < 1) > 0.95
+        graph.send({"left/image_raw": image_message(TYPES, pairs[0][0][..., 0].copy(), "mono8", 5 * 10**9, "")})
+        graph.send({"right/image_raw": image_message(TYPES, pairs[0][1][..., 0].copy(), "mono8", 5 * 10**9, "")})
+        assert "the image is gray, color stripes need colors" in graph.wait_error("color stripes")
 
 
 def test_without_patterns_the_node_does_not_start() -> None:
