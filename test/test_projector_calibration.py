@@ -23,7 +23,8 @@ from stereo_depth_ros.calibration.board_views import BoardView
 from stereo_depth_ros.calibration.boards import Corners
 from stereo_depth_ros.calibration.camera_calibration import initial_pose
 from stereo_depth_ros.calibration.chessboard import Chessboard
-from stereo_depth_ros.calibration.projection import project
+from stereo_depth_ros.calibration.projection import camera_matrix, project
+from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError, ConfigError, ImageError
 from stereo_depth_ros.core.types import F64
 
@@ -243,7 +244,7 @@ def board_captures(data: Path) -> tuple[PatternSequence, list[Path], F64]:
 def test_a_real_projector_by_two_poses(stereo_data: Path) -> None:
     sequence, folders, camera = board_captures(stereo_data)
     assert len(folders) == 2
-    points, pixels = [], []
+    points, pixels, seen = [], [], []
     for folder in folders:
         images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(folder.glob("*.png"))]
         corners = Chessboard((9, 7), 0.075).detect(images[-2])
@@ -257,5 +258,14 @@ def test_a_real_projector_by_two_poses(stereo_data: Path) -> None:
         pose, _ = initial_pose("plumb_bob", camera, corners)
         points.append(found.board_m @ cv2.Rodrigues(pose[:3])[0].T + pose[3:])
         pixels.append(found.image_px)
+        seen.append(BoardView(folder.name, (1280, 1024), corners, found))
     assert sum(map(len, pixels)) == 126
     assert resect(np.concatenate(points), np.concatenate(pixels)).rms_px <= 0.31
+    bare = np.identity(4)[:3]
+    model = CameraModel(1280, 1024, "plumb_bob", camera_matrix(camera), camera[4:], np.identity(3), bare)
+    calibrated = calibrate_projector(seen, (1024, 768), camera=model)
+    assert calibrated.stereo.right.rms_px <= 0.31
+    assert calibrated.stereo.epipolar_rms_px < 0.15
+    # values of all poses of the same setup, with another calibration of the camera
+    np.testing.assert_allclose(np.diag(calibrated.stereo.right.K)[:2], [1891, 1896], rtol=0.01)
+    assert calibrated.stereo.baseline_m == pytest.approx(0.675, abs=0.01)
