@@ -16,6 +16,7 @@ from stereo_depth_ros.config import (
     replace_checked,
 )
 from stereo_depth_ros.config.matchers import MATCHERS
+from stereo_depth_ros.config.values import parse_assignments
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.replay.options import ReplayOptions
 
@@ -108,6 +109,12 @@ def test_errors_name_value_limit_and_remedy(changes: dict[str, object], message:
 def test_choices_are_named() -> None:
     with pytest.raises(ConfigError, match=r"depth_encoding = '8UC1' is not one of 32FC1, 16UC1"):
         DepthConfig(depth_encoding="8UC1")
+
+
+def test_choice_that_yaml_reads_as_a_boolean_is_accepted() -> None:
+    assert parse_assignments(["anaglyph_method:=true"]) == {"anaglyph_method": "true"}
+    with pytest.raises(ConfigError, match="anaglyph_method = false is true or false, not text"):
+        parse_assignments(["anaglyph_method:=false"])
 
 
 def test_integers_are_accepted_as_floats_and_both_names_as_keys() -> None:

@@ -60,6 +60,8 @@ class ParameterInfo:
         Raises:
             ConfigError: another type, not one of the choices, or out of range.
         """
+        if value is True and "true" in self.choices:
+            value = "true"  # YAML has a boolean where the word is not in quotes
         if self.type is float and type(value) is int:
             value = float(value) if abs(value) <= _LARGEST_WHOLE else math.inf
         if type(value) is not self.type:

@@ -212,8 +212,7 @@ class ViewConfig(Checked):
 
     view_position: float = parameter(
         0.5,
-        "Position of the camera of view/image: 0 is the left one, 1 the right one; a message on view/position replaces "
-        "it until it is set again.",
+        "Position of the camera of view/image: 0 is the left one, 1 the right one; a message on view/position sets it.",
         low=-0.5,
         high=1.5,
     )

@@ -125,19 +125,19 @@ def _layer(width: int, channels: int) -> _Layer:
     return _Layer(np.empty((width, channels), np.float32), np.empty(width, np.float32), ones[0], ones[1])
 
 
-@compiled()
+@compiled(allocates=False)
 def _is_joined(disparity: F32, x: int, other: int) -> bool:
     """Whether two pixels, of which the other one may be outside of the row, belong to one surface."""
     return 0 <= other < len(disparity) and abs(disparity[other] - disparity[x]) <= _JUMP_PX
 
 
-@compiled()
+@compiled(allocates=False)
 def _level(level: np.float32) -> np.float32:
     """A gray level within its range."""
     return min(max(level, _NONE), _WHITE)
 
 
-@compiled()
+@compiled(allocates=False)
 def _split(image: U8, disparity: F32, far: _Layer, near: _Layer) -> None:
     """Split a row of a camera: at depth edges the foreground goes into the near layer, over the background."""
     width, channels = image.shape
@@ -153,7 +153,7 @@ def _split(image: U8, disparity: F32, far: _Layer, near: _Layer) -> None:
             _split_edge(image, disparity, x if step > 0 else x + 1, step, far, near)
 
 
-@compiled()
+@compiled(allocates=False)
 def _split_edge(image: U8, disparity: F32, behind: int, step: int, far: _Layer, near: _Layer) -> None:
     """Split the pixels on both sides of an edge by their neighbors, whose colors are those of one surface."""
     front = behind + step
@@ -183,7 +183,7 @@ def _split_edge(image: U8, disparity: F32, behind: int, step: int, far: _Layer, 
             near.color[x, c] = top if alpha < _HALF else _level((mixed - (_ONE - alpha) * base) / alpha)
 
 
-@compiled()
+@compiled(allocates=False)
 def _warp(source: _Layer, shift: np.float32, out: _Layer) -> None:
     """Draw a row at x - shift d: cubic between neighbors (Catmull and Rom 1974), the nearest surface wins."""
     width, channels = source.color.shape
@@ -219,7 +219,7 @@ def _warp(source: _Layer, shift: np.float32, out: _Layer) -> None:
                 )
 
 
-@compiled()
+@compiled(allocates=False)
 def _mixed(a: np.float32, b: np.float32, share: np.float32) -> np.float32:
     """a with share 0, whatever b is, and b with share 1, whatever a is."""
     if share == 0:
@@ -227,24 +227,26 @@ def _mixed(a: np.float32, b: np.float32, share: np.float32) -> np.float32:
     return b if share == 1 else a + share * (b - a)
 
 
-@compiled()
+@compiled(allocates=False)
 def _blend(a: _Layer, b: _Layer, position: np.float32, out: _Layer) -> None:
     """Both cameras, weighted by distance and by what they have seen; where surfaces differ, the nearer one."""
     for t in range(len(out.disparity)):
         da, db = a.disparity[t], b.disparity[t]
+        out.disparity[t] = max(da, db)
+        if out.disparity[t] == _EMPTY:
+            continue
         weight_a, weight_b = (_ONE - position) * a.weight[t], position * b.weight[t]
         share = weight_b / (weight_a + weight_b)
         if db < da - _JUMP_PX:
             share = _NONE
         elif da < db - _JUMP_PX:
             share = _ONE
-        out.disparity[t] = max(da, db)
         out.alpha[t] = _mixed(a.alpha[t], b.alpha[t], share)
         for c in range(out.color.shape[1]):
             out.color[t, c] = _mixed(a.color[t, c], b.color[t, c], share)
 
 
-@compiled()
+@compiled(allocates=False)
 def _fill(layer: _Layer) -> None:
     """Fill holes by the mirrored surface beside them, the farther one of two."""
     width = len(layer.disparity)
