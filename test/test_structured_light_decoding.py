@@ -105,6 +105,19 @@ def test_foreign_sequences(name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_camera_on_its_side_sees_the_same(kind: str) -> None:
+    """Columns of the projector along the rows of the image, or along its columns: edges are sought across them."""
+    view = slanted_view()
+    sequence = PatternSequence.of_kind(kind, SIZE)
+    images = view.images(sequence)
+    upright = decode(sequence, images)
+    turned = decode(sequence, [np.ascontiguousarray(image.T) for image in images])
+    assert upright.column_px is not None and turned.column_px is not None
+    both = np.isfinite(upright.column_px) & np.isfinite(turned.column_px.T)
+    assert both.mean() > 0.98 and np.abs(upright.column_px - turned.column_px.T)[both].max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_standard_deviations_are_those_of_the_errors(kind: str) -> None:
     view = slanted_view(noise=5.0, albedo=120.0)
     sequence = PatternSequence.of_kind(kind, SIZE)
