@@ -80,6 +80,7 @@ FOREIGN = {
         Pattern("black"),
         *gray("columns", range(6, -1, -1), True, offset_px=28, cell_px=2),
     ],
+    "ambient in place of black": [Pattern("white"), Pattern("ambient"), *gray("columns", range(7, -1, -1), False)],
     "inverse pairs without white and black": gray("columns", range(7, -1, -1), True, False),
     "coarse bits only": [Pattern("white"), Pattern("black"), *gray("columns", range(7, 2, -1), False)],
     "heterodyne, falling phase": [p for period in (24, 27, 30) for p in phases("columns", period, 0, -120, -240)],

@@ -106,7 +106,7 @@ def _check_gray(sequence: PatternSequence, axis: str) -> None:
             remedy="describe the image of each of them",
         )
     alone = bits - {p.bit for p in patterns if p.inverse} | bits - {p.bit for p in patterns if not p.inverse}
-    if alone and (sequence.index("white") is None or sequence.index("black") is None):
+    if alone and (sequence.index("white") is None or sequence.dark is None):
         raise ConfigError(
             f"bit {max(alone)} of the Gray code of {axis} has no inverse, and white or black is missing",
             value=sorted(alone),
@@ -137,7 +137,7 @@ def _stacked(sequence: PatternSequence, images: Sequence[U8]) -> U8:
 
 def _evenly_lit(sequence: PatternSequence) -> list[int]:
     """Images of which the noise is estimated: white and black, or else the longest period."""
-    even = [number for role in ("white", "black") if (number := sequence.index(role)) is not None]
+    even = [number for number in (sequence.index("white"), sequence.dark) if number is not None]
     coded = [n for axis in sequence.axes for role in ("phase", "gray") for n in sequence.coded(role, axis)]
     return even or [max(coded, key=lambda n: (sequence.patterns[n].period_px, sequence.patterns[n].bit))]
 
@@ -148,7 +148,7 @@ def _decode_axis(sequence: PatternSequence, axis: str, stack: U8, noise: Noise, 
     gray, waves = sequence.coded("gray", axis), _waves(sequence, axis, stack, noise, reasons)
     if gray:
         patterns = {number: sequence.patterns[number] for number in gray}
-        bits = GrayBits.of_patterns(patterns, sequence.index("white"), sequence.index("black"), length_px)
+        bits = GrayBits.of_patterns(patterns, sequence.index("white"), sequence.dark, length_px)
         found, sigma_px = decode_gray(stack, bits, noise, reasons)
         for wave in sorted(waves, key=lambda wave: -wave.period_px):
             found, sigma_px = unwrap_by_code(wave, found, sigma_px, reasons)
