@@ -29,6 +29,7 @@ from stereo_depth_ros.active.one_shot.decoding import decode_edges, one_shot
 from stereo_depth_ros.active.one_shot.stripes import read_stripes, stripe_pattern
 from stereo_depth_ros.active.structured_light.correspondence import correspondences, disparity_from_maps
 from stereo_depth_ros.active.structured_light.decoding import decode
+from stereo_depth_ros.active.structured_light.noise import Noise
 from stereo_depth_ros.active.structured_light.patterns import KINDS, Pattern, PatternSequence
 from stereo_depth_ros.active.structured_light.phase import harmonics, wave_of_images
 from stereo_depth_ros.calibration.chessboard import Chessboard
@@ -178,7 +179,7 @@ def patterns_captured(data: Path) -> Iterator[Row]:
     sequence = PatternSequence(
         (1920, 1080), tuple(sinusoid("columns", period, shift) for period in (42, 45, 48) for shift in shifts)
     )
-    wave = wave_of_images(np.stack(images[:3]), range(3), 42, shifts, 0.5, np.zeros(images[0].shape, np.uint8))
+    wave = wave_of_images(np.stack(images[:3]), range(3), 42, shifts, Noise(0.5), np.zeros(images[0].shape, np.uint8))
     compensated = 2 * np.pi * np.hypot(*harmonics(wave).T) / np.sqrt(2)
     times = median_ms(partial(decode, sequence, images))
     found = decode(sequence, images)

@@ -11,6 +11,7 @@ import atexit
 import contextlib
 import functools
 import io
+import json
 import os
 import shutil
 import signal
@@ -47,6 +48,9 @@ from hypothesis import strategies as st
 from mutations import mutated
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from stereo_depth_ros.active.structured_light.correspondence import disparity_from_maps
+from stereo_depth_ros.active.structured_light.decoding import decode as decode_patterns
+from stereo_depth_ros.active.structured_light.manifest import read_manifest
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagSelection
@@ -716,6 +720,50 @@ _OPTIONS = st.sampled_from(
         "--help",
     )
 )
+_PLAIN_VALUES = st.one_of(
+    st.none(), st.booleans(), st.integers(-3, 40), st.integers(), st.floats(), st.text(max_size=8), st.just([[]])
+)
+_PATTERNS = st.one_of(
+    st.fixed_dictionaries({"role": st.sampled_from(["white", "black", "ambient", "unused"])}),
+    st.fixed_dictionaries(
+        {"role": st.just("gray"), "axis": st.sampled_from(["columns", "rows"]), "bit": st.integers(0, 15)},
+        optional={"inverse": st.booleans(), "cell_px": st.integers(1, 16384), "offset_px": st.integers(0, 65536)},
+    ),
+    st.fixed_dictionaries(
+        {
+            "role": st.just("phase"),
+            "axis": st.sampled_from(["columns", "rows"]),
+            "period_px": st.floats(3, 32768),
+            "shift_deg": st.sampled_from([0, 120, 240, -90, 1e-9]),
+        }
+    ),
+    st.dictionaries(st.sampled_from(["role", "axis", "bit", "inverse", "period_px", "shift_deg"]), _PLAIN_VALUES),
+    _PLAIN_VALUES,
+)
+_MANIFESTS = st.one_of(
+    st.fixed_dictionaries(
+        {
+            "projector": st.fixed_dictionaries({"width": st.integers(1, 20_000), "height": st.integers(1, 20_000)}),
+            "images": st.lists(_PATTERNS, max_size=12),
+        }
+    ),
+    st.fixed_dictionaries({"projector": _PLAIN_VALUES, "images": st.one_of(_PLAIN_VALUES, st.lists(_PATTERNS))}),
+    _PLAIN_VALUES,
+)
+
+
+def _run_manifest(case: Any, folder: Path) -> None:
+    """A manifest of patterns, and noise in place of their images."""
+    path = folder / "patterns.json"
+    path.write_text(json.dumps(case))
+    sequence = read_manifest(path)
+    noise = np.random.default_rng(1).integers(0, 256, (len(sequence), 11, 18), np.uint8)
+    seen = decode_patterns(sequence, list(noise))
+    for coordinate in (seen.column_px, seen.row_px):
+        assert coordinate is None or np.array_equal(np.isfinite(coordinate), seen.reasons == 0)
+    assert disparity_from_maps(seen, seen).disparity_px.shape == (11, 18)
+
+
 _COMMANDS = st.tuples(
     _NAMES, st.lists(st.one_of(_OPTIONS, _VALUES, st.just("a.mcap"), st.just("missing.mcap")), max_size=5)
 )
@@ -816,6 +864,13 @@ TARGETS: tuple[Target, ...] = (
     Target("calibrations", _SEEDS.map(_damaged_calibration), _run_calibration, (), examples=200),
     Target("npz", _SEEDS.map(_damaged_npz), _run_npz, _HUGE_HEADERS),
     Target("image files", _mutated_of(_encoded), _run_image_file, (_png_of(20_000, 20_000), b"P5 60000 60000 255\n")),
+    Target(
+        "manifests of patterns",
+        _MANIFESTS,
+        _run_manifest,
+        ({"projector": {"width": 1, "height": 1}, "images": []},),
+        examples=25,
+    ),
     Target("parameter files", _PARAMETER_FILES, _run_parameter_file, _KNOWN_FILES),
     Target("parameters", _ASSIGNMENTS, _run_assignments, tuple([text] for text in _KNOWN_TEXTS)),
     Target("command line", _COMMANDS, _run_command, (("info", ["[red]"]), ("rig", ["~nosuchuser"])), examples=40),

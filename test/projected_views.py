@@ -25,6 +25,7 @@ class ProjectedView:
     ambient: float = 12.0
     albedo: F64 | float = 150.0
     noise: float = 0.7
+    shot: float = 0.0  # variance for each gray level
     blur_px: float = 0.8  # projector px, half width of a pixel's footprint
     seed: int = 3
     reflected: F64 | float = 0.0  # of the mean light of a pattern

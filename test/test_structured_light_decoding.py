@@ -13,7 +13,7 @@ import pytest
 from projected_views import ProjectedView, slanted_view
 
 from stereo_depth_ros.active.structured_light.decoding import decode
-from stereo_depth_ros.active.structured_light.noise import noise_levels
+from stereo_depth_ros.active.structured_light.noise import Noise
 from stereo_depth_ros.active.structured_light.patterns import KINDS, Pattern, PatternSequence
 from stereo_depth_ros.active.structured_light.phase import Wave, harmonics, wave_of_images
 from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
@@ -80,6 +80,7 @@ FOREIGN = {
         Pattern("black"),
         *gray("columns", range(6, -1, -1), True, offset_px=28, cell_px=2),
     ],
+    "ambient in place of black": [Pattern("white"), Pattern("ambient"), *gray("columns", range(7, -1, -1), False)],
     "inverse pairs without white and black": gray("columns", range(7, -1, -1), True, False),
     "coarse bits only": [Pattern("white"), Pattern("black"), *gray("columns", range(7, 2, -1), False)],
     "heterodyne, falling phase": [p for period in (24, 27, 30) for p in phases("columns", period, 0, -120, -240)],
@@ -102,6 +103,19 @@ def test_foreign_sequences(name: str) -> None:
     assert len(errors) > 0.98 * view.column.size
     assert np.median(errors) < (0.4 if "coarse" in name else 0.12)
     assert np.mean(errors < (2.0 if "coarse" in name else 0.6)) > 0.99
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_camera_on_its_side_sees_the_same(kind: str) -> None:
+    """Columns of the projector along the rows of the image, or along its columns: edges are sought across them."""
+    view = slanted_view()
+    sequence = PatternSequence.of_kind(kind, SIZE)
+    images = view.images(sequence)
+    upright = decode(sequence, images)
+    turned = decode(sequence, [np.ascontiguousarray(image.T) for image in images])
+    assert upright.column_px is not None and turned.column_px is not None
+    both = np.isfinite(upright.column_px) & np.isfinite(turned.column_px.T)
+    assert both.mean() > 0.98 and np.abs(upright.column_px - turned.column_px.T)[both].max() < 1e-3
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -166,7 +180,7 @@ def test_gamma_of_three_steps_is_compensated() -> None:
     numbers, shifts = [0, 1, 2], [0.0, 120.0, 240.0]
     patterns = phases("columns", 18, *shifts)
     stack = np.stack([view.image(pattern, SIZE) for pattern in patterns])
-    wave = wave_of_images(stack, numbers, 18, shifts, 0.5, np.zeros(view.column.shape, np.uint8))
+    wave = wave_of_images(stack, numbers, 18, shifts, Noise(0.25), np.zeros(view.column.shape, np.uint8))
     raw = 2 * np.pi * ((wave.turn - view.column / 18 + 0.5) % 1 - 0.5)
     sequence = PatternSequence(SIZE, (*patterns, *phases("columns", 21, *shifts), *phases("columns", 25, *shifts)))
     found = decode(sequence, view.images(sequence))
@@ -186,15 +200,33 @@ def test_a_plane_that_shows_few_phases_is_not_compensated() -> None:
     assert not harmonics(Wave(12.0, 3, turn, np.full_like(turn, 0.001))).any()
 
 
-def test_noise_of_an_image() -> None:
+def test_noise_rises_with_the_light() -> None:
     y, x = np.mgrid[:300, :400]
     random = np.random.default_rng(2)
-    scene = 60 + 0.2 * x + 40 * (y > 120) * np.sin(x / 40)
-    for sigma in (1.0, 3.0):
-        image = np.clip(np.rint(scene + sigma * random.standard_normal(scene.shape)), 0, 255).astype(np.uint8)
-        assert noise_levels(image) == pytest.approx(np.hypot(sigma, 12**-0.5), rel=0.1)
-    assert noise_levels(np.zeros((40, 50), np.uint8)) == 0.5
-    assert noise_levels(np.full((3, 3), 7, np.uint8)) == 0.5
+    scene = 120 + 0.1 * x + 20 * (y > 120) * np.sin(x / 40)
+    for read, shot in ((1.0, 0.0), (3.0, 0.0), (0.9, 0.05)):
+        images = []
+        for light in (0.1, 1.0):
+            sigma = np.sqrt(read**2 + shot * light * scene)
+            noisy = light * scene + sigma * random.standard_normal(scene.shape)
+            images.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+        found = Noise.of_images(images)
+        for level in (20.0, 150.0):
+            assert found.sigma(level) == pytest.approx(np.sqrt(read**2 + shot * level + 1 / 12), rel=0.1)
+    assert Noise.of_images([np.zeros((40, 50), np.uint8)]) == Noise(0.25)
+    assert Noise.of_images([np.full((3, 3), 7, np.uint8)]) == Noise(0.25)
+
+
+def test_a_dark_surface_beside_a_bright_one_is_decoded() -> None:
+    """Its light is below the noise of the bright surface, and clear in its own."""
+    albedo = np.full((120, 160), 200.0)
+    albedo[:, 80:] = 14.0
+    view = slanted_view(albedo=albedo, ambient=4.0, shot=0.06, noise=0.6)
+    sequence = PatternSequence(SIZE, (Pattern("white"), Pattern("black"), *gray("columns", range(7, 0, -1), False)))
+    found = decode(sequence, view.images(sequence))
+    assert found.column_px is not None
+    dark = np.abs(found.column_px - view.column)[:, 85:]
+    assert np.mean(np.isfinite(dark)) > 0.9 and np.nanmedian(dark) < 0.5 and np.mean(dark[np.isfinite(dark)] < 2) > 0.99
 
 
 @pytest.mark.parametrize(
@@ -269,7 +301,9 @@ def test_published_fringes_of_three_close_periods(stereo_data: Path) -> None:
 
     wall = found.column_px[100:300:10, 20:300]
     assert np.isfinite(wall).all()
-    raw = wave_of_images(np.stack(images[:3]), [0, 1, 2], 42, [0, -120, -240], 0.5, np.zeros(images[0].shape, np.uint8))
+    raw = wave_of_images(
+        np.stack(images[:3]), [0, 1, 2], 42, [0, -120, -240], Noise(0.25), np.zeros(images[0].shape, np.uint8)
+    )
     assert ripple_rad(raw.turn) > 0.1
     assert ripple_rad((found.column_px / 42).astype(np.float32)) < 0.03
 

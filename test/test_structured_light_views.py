@@ -81,7 +81,9 @@ def test_disparity_of_a_plane_is_exact() -> None:
     assert np.isfinite(found.disparity_px).all(axis=0).tolist() == inside.tolist()
     assert np.abs(found.disparity_px - expected)[:, inside].max() < 1e-4
     assert (found.reasons[:, ~inside] == Reason.NO_MATCH).all()
-    assert found.confidence is not None
+    assert found.confidence is not None and found.sigma_px is not None
+    assert found.sigma_px[0, 60] == pytest.approx(2**0.5 * 0.1 / 1.6, rel=1e-4)
+    assert np.array_equal(np.isfinite(found.sigma_px), found.reasons == 0)
     assert found.confidence[0, 60] == pytest.approx(1 / (1 + 2 * (0.1 / 1.6) ** 2))
 
 
@@ -146,6 +148,7 @@ def test_scanner_gives_the_disparities_of_the_truth() -> None:
     assert np.array_equal(valid, found.reasons == 0)
     errors = np.abs(found.disparity_px - truth.disparity_px)[valid]
     assert np.median(errors) < 0.05 and np.mean(errors < 1) > 0.99
+    assert found.sigma_px is not None and 0.4 < 1.4826 * np.median(errors / found.sigma_px[valid]) < 1.5
     visible = truth.lit & ~truth.occluded
     assert np.count_nonzero(valid & visible) > 0.85 * np.count_nonzero(visible)
 

@@ -148,8 +148,8 @@ def disparity_from_maps(left: ProjectorMap, right: ProjectorMap) -> MatchResult:
     increase. Where several places have the column, the projector rows decide, if they are coded.
 
     Reasons: those of the left map; NO_MATCH where no place has the column, UNIQUENESS where several have it, LEFT_RIGHT
-    where the right pixel found has another left one. The confidence is 1 / (1 + s^2), s the standard deviation of the
-    disparity in px that follows from those of both maps.
+    where the right pixel found has another left one. The standard deviation of a disparity is that of both coordinates
+    over the slope of the right one; the confidence is 1 / (1 + s^2), s in px.
 
     Args:
         left, right: maps of the rectified images of one size, with columns.
@@ -169,7 +169,7 @@ def disparity_from_maps(left: ProjectorMap, right: ProjectorMap) -> MatchResult:
             remedy="rectify both views with one rig",
         )
     height, width = left.reasons.shape
-    disparity_px, confidence = np.empty((2, height, width), np.float32)
+    disparity_px, sigma_px = np.empty((2, height, width), np.float32)
     reasons = left.reasons.copy()
     has_rows = left.row_px is not None and right.row_px is not None
     maps = [
@@ -177,8 +177,9 @@ def disparity_from_maps(left: ProjectorMap, right: ProjectorMap) -> MatchResult:
         for each in (left, right)
         for array in (each.column_px, each.row_px if has_rows else each.column_px, each.sigma_px)
     ]
-    run_bands(_match_rows, height, left.size[0], has_rows, *maps, disparity_px, confidence, reasons)
-    return MatchResult(disparity_px, reasons, _STEP_PX, confidence)
+    run_bands(_match_rows, height, left.size[0], has_rows, *maps, disparity_px, sigma_px, reasons)
+    confidence = (1 / (1 + sigma_px**2)).astype(np.float32)
+    return MatchResult(disparity_px, reasons, _STEP_PX, confidence, sigma_px=sigma_px)
 
 
 @compiled(allocates=False)
@@ -245,7 +246,7 @@ def _match_rows(
     right_rows: F32,
     right_sigma: F32,
     disparity_px: F32,
-    confidence: F32,
+    sigma_px: F32,
     reasons: U8,
 ) -> None:
     width = left.shape[1]
@@ -256,7 +257,7 @@ def _match_rows(
         _index_row(right[y], heads, following)
         _index_row(left[y], left_heads, left_following)
         for x in range(width):
-            disparity_px[y, x], confidence[y, x] = np.nan, 0.0
+            disparity_px[y, x], sigma_px[y, x] = np.nan, np.nan
             if reasons[y, x]:
                 continue
             sigma = float(left_sigma[y, x])
@@ -282,5 +283,4 @@ def _match_rows(
                 reasons[y, x] |= _LEFT_RIGHT
                 continue
             disparity_px[y, x] = x - found
-            variance = (sigma * sigma + other * other) / max(slope * slope, 1e-6)
-            confidence[y, x] = 1.0 / (1.0 + variance)
+            sigma_px[y, x] = np.sqrt((sigma * sigma + other * other) / max(slope * slope, 1e-6))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stereo_depth_ros.active.structured_light.gray_code import GrayBits, decode_gray
-from stereo_depth_ros.active.structured_light.noise import noise_levels
+from stereo_depth_ros.active.structured_light.noise import Noise
 from stereo_depth_ros.active.structured_light.outliers import mark_outliers
 from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.active.structured_light.phase import (
@@ -45,7 +45,7 @@ def decode(sequence: PatternSequence, images: Sequence[U8]) -> ProjectorMap:
     """
     check_sequence(sequence)
     stack = _stacked(sequence, images)
-    noise = max(noise_levels(stack[number]) for number in _evenly_lit(sequence))
+    noise = Noise.of_images([stack[number] for number in _evenly_lit(sequence)])
     reasons = np.zeros(stack.shape[1:], np.uint8)
     found = {axis: _decode_axis(sequence, axis, stack, noise, reasons) for axis in sequence.axes}
     invalid = reasons != 0
@@ -106,7 +106,7 @@ def _check_gray(sequence: PatternSequence, axis: str) -> None:
             remedy="describe the image of each of them",
         )
     alone = bits - {p.bit for p in patterns if p.inverse} | bits - {p.bit for p in patterns if not p.inverse}
-    if alone and (sequence.index("white") is None or sequence.index("black") is None):
+    if alone and (sequence.index("white") is None or sequence.dark is None):
         raise ConfigError(
             f"bit {max(alone)} of the Gray code of {axis} has no inverse, and white or black is missing",
             value=sorted(alone),
@@ -137,18 +137,18 @@ def _stacked(sequence: PatternSequence, images: Sequence[U8]) -> U8:
 
 def _evenly_lit(sequence: PatternSequence) -> list[int]:
     """Images of which the noise is estimated: white and black, or else the longest period."""
-    even = [number for role in ("white", "black") if (number := sequence.index(role)) is not None]
+    even = [number for number in (sequence.index("white"), sequence.dark) if number is not None]
     coded = [n for axis in sequence.axes for role in ("phase", "gray") for n in sequence.coded(role, axis)]
     return even or [max(coded, key=lambda n: (sequence.patterns[n].period_px, sequence.patterns[n].bit))]
 
 
-def _decode_axis(sequence: PatternSequence, axis: str, stack: U8, noise: float, reasons: U8) -> tuple[F32, F32]:
+def _decode_axis(sequence: PatternSequence, axis: str, stack: U8, noise: Noise, reasons: U8) -> tuple[F32, F32]:
     """Coordinate and standard deviation of one axis; reasons are added, coordinates without are not yet removed."""
     length_px = sequence.length_px(axis)
     gray, waves = sequence.coded("gray", axis), _waves(sequence, axis, stack, noise, reasons)
     if gray:
         patterns = {number: sequence.patterns[number] for number in gray}
-        bits = GrayBits.of_patterns(patterns, sequence.index("white"), sequence.index("black"), length_px)
+        bits = GrayBits.of_patterns(patterns, sequence.index("white"), sequence.dark, length_px)
         found, sigma_px = decode_gray(stack, bits, noise, reasons)
         for wave in sorted(waves, key=lambda wave: -wave.period_px):
             found, sigma_px = unwrap_by_code(wave, found, sigma_px, reasons)
@@ -161,7 +161,7 @@ def _decode_axis(sequence: PatternSequence, axis: str, stack: U8, noise: float, 
     return found, sigma_px
 
 
-def _waves(sequence: PatternSequence, axis: str, stack: U8, noise: float, reasons: U8) -> list[Wave]:
+def _waves(sequence: PatternSequence, axis: str, stack: U8, noise: Noise, reasons: U8) -> list[Wave]:
     groups: dict[float, list[int]] = {}
     for number in sequence.coded("phase", axis):
         groups.setdefault(sequence.patterns[number].period_px, []).append(number)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,11 +12,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.active.structured_light.noise import Noise
 from stereo_depth_ros.active.structured_light.outliers import mark_outliers
 from stereo_depth_ros.active.structured_light.patterns import Pattern
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
-from stereo_depth_ros.core.types import F32, U8, Reason
+from stereo_depth_ros.core.types import F32, F64, U8, Reason
 
 __all__ = ["GrayBits", "decode_gray"]
 
@@ -26,11 +26,11 @@ I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 
 _TILE_PX = 8  # the bits that are resolved are found for tiles of this size, and their neighbors
-_RESOLVED = 0.15  # of a bit: least share of its mean difference in the largest one of all bits
+_RESOLVED = 0.2  # of a bit: least share of its mean difference in the largest one of all bits
 _MEAN_OF_NOISE = 0.8  # mean size of a normal variable, relative to its standard deviation
 _FINE_BITS = 3  # direct light is found from this number of bits, the finest that are resolved
 _BLURRED_BITS = 2  # more than usual may be unresolved where the projector is out of focus
-_LIT = 6.0  # least direct light, in standard deviations of a difference
+_LIT = 5.0  # least direct light, in standard deviations of a difference
 _UNLIT = 4.0  # less is the range of the noise
 _CERTAIN = 3.0  # least difference of a bit, in standard deviations
 _CERTAIN_SHARE = 0.1  # and relative to the direct light
@@ -81,7 +81,7 @@ class GrayBits:
         )
 
 
-def decode_gray(stack: U8, bits: GrayBits, noise: float, reasons: U8, refine: bool = True) -> tuple[F32, F32]:
+def decode_gray(stack: U8, bits: GrayBits, noise: Noise, reasons: U8, refine: bool = True) -> tuple[F32, F32]:
     """Coordinate of each pixel from a Gray code, to a part of a cell where edges are near.
 
     Light that other surfaces reflect changes the level of a bit. A pixel whose direct light, the range of its levels
@@ -94,7 +94,7 @@ def decode_gray(stack: U8, bits: GrayBits, noise: float, reasons: U8, refine: bo
     Args:
         stack: uint8 (N, H, W), the images.
         bits: which image shows what.
-        noise: standard deviation of the gray levels.
+        noise: of the gray levels.
         reasons: uint8 (H, W), receives the reasons of the pixels without a coordinate.
         refine: interpolate between the edges of the codes; else the coordinates are centers of cells.
 
@@ -106,16 +106,17 @@ def decode_gray(stack: U8, bits: GrayBits, noise: float, reasons: U8, refine: bo
     codes = np.empty((height, width), np.int32)
     direct = np.empty((height, width), np.float32)
     where = (bits.images, bits.white, bits.black)
-    sigma = noise * math.sqrt(max(map(_variance, bits.images)))
+    images = max(map(_variance, bits.images))
+    variance = np.array([images * noise.variance, images * noise.per_level])
     size = (bits.length_px + bits.offset_px + bits.cell_px - 1) // bits.cell_px
-    run_bands(_decode_rows, height, stack, *where, bits.finest, size, sigma, levels, usual, codes, direct, reasons)
+    run_bands(_decode_rows, height, stack, *where, bits.finest, size, variance, levels, usual, codes, direct, reasons)
     mark_outliers(
         (2 * codes.astype(np.int64) + 1) << _of_pixels(levels, codes.shape), (2 * _MOST_CELLS) << (usual + 1), reasons
     )
     coordinate, sigma_px = np.empty((2, height, width), np.float32)
     along_y = _changes(codes, reasons, 0) > _changes(codes, reasons, 1)
     lines = width if along_y else height
-    geometry = (bits.finest, bits.cell_px, bits.offset_px, noise, along_y, refine)
+    geometry = (bits.finest, bits.cell_px, bits.offset_px, variance, along_y, refine)
     run_bands(_refine_lines, lines, stack, *where, *geometry, levels, codes, direct, reasons, coordinate, sigma_px)
     return coordinate, sigma_px
 
@@ -135,7 +136,7 @@ def _changes(codes: I32, reasons: U8, axis: int) -> int:
     return int(np.count_nonzero((codes[before] != codes[after]) & valid[before] & valid[after]))
 
 
-def _resolved(stack: U8, bits: GrayBits, noise: float) -> tuple[I64, int]:
+def _resolved(stack: U8, bits: GrayBits, noise: Noise) -> tuple[I64, int]:
     """Number of fine bits that the camera does not resolve: int64 of each tile, and the usual one.
 
     All bits, where there is no direct light.
@@ -145,7 +146,7 @@ def _resolved(stack: U8, bits: GrayBits, noise: float) -> tuple[I64, int]:
     shape = (-(-height // _TILE_PX), -(-width // _TILE_PX))
     means = np.empty((count, *shape), np.float32)
     run_bands(_mean_differences, shape[0], stack, bits.images, bits.white, bits.black, means, min_rows=8)
-    floor = _MEAN_OF_NOISE * noise * np.sqrt([_variance(pair) for pair in bits.images])
+    floor = _MEAN_OF_NOISE * np.sqrt([noise.variance * _variance(pair) for pair in bits.images])
     smooth = np.stack([cv2.blur(mean, (3, 3), borderType=cv2.BORDER_REPLICATE) for mean in means])
     amplitude = np.sqrt(np.maximum(smooth**2 - np.float32(floor[:, None, None] ** 2), 0))
     clear = amplitude >= _RESOLVED * np.max(amplitude, axis=0)
@@ -219,13 +220,13 @@ def _base(stack: U8, black: int, y: int, x: int) -> int:
 @compiled(allocates=False)
 def _direct_and_global(
     stack: U8, images: I64, white: int, black: int, usual: int, level: int, y: int, x: int
-) -> tuple[float, float]:
-    """Direct and global light of white, gray levels (Nayar et al. 2006, eq. 3 and 4, for half of the pixels lit)."""
+) -> tuple[float, float, float]:
+    """Direct and global light of white (Nayar et al. 2006, eq. 3 and 4, for half of the pixels lit), and the level."""
     low, high = 1024, -1024
     for k in range(usual, min(max(usual + _FINE_BITS, level + 1), images.shape[0])):
         one, zero = _pair(stack, images, white, black, k, y, x)
         low, high = min(low, one, zero), max(high, one, zero)
-    return float(high - low), 2.0 * float(max(low - _base(stack, black, y, x), 0))
+    return float(high - low), 2.0 * float(max(low - _base(stack, black, y, x), 0)), float(high)
 
 
 @compiled(allocates=False)
@@ -245,8 +246,8 @@ def _binary(gray: int) -> int:
 
 
 @compiled(
-    f"void(int64, int64, {_STACK}, int64[:, ::1], int64, int64, int64, int64, float64, int64[:, ::1], int64, {_WHOLE}, "
-    f"{_FLOATS}, {_BYTES})",
+    f"void(int64, int64, {_STACK}, int64[:, ::1], int64, int64, int64, int64, float64[::1], int64[:, ::1], int64, "
+    f"{_WHOLE}, {_FLOATS}, {_BYTES})",
     allocates=False,
 )
 def _decode_rows(
@@ -258,7 +259,7 @@ def _decode_rows(
     black: int,
     finest: int,
     size: int,
-    sigma: float,
+    variance: F64,
     levels: I64,
     usual: int,
     codes: I32,
@@ -270,7 +271,7 @@ def _decode_rows(
     Args:
         finest: number of the first bit.
         size: number of codes.
-        sigma: standard deviation of the difference of a bit.
+        variance: of the difference of a bit, and its rise for each gray level: float64 (2,).
         usual: of the levels.
     """
     count = images.shape[0]
@@ -281,8 +282,9 @@ def _decode_rows(
             if level >= count:
                 reasons[y, x] |= _SHADOW
                 continue
-            light, reflected = _direct_and_global(stack, images, white, black, usual, level, y, x)
+            light, reflected, brightest = _direct_and_global(stack, images, white, black, usual, level, y, x)
             direct[y, x] = light
+            sigma = np.sqrt(variance[0] + variance[1] * brightest)
             if light < _LIT * sigma:
                 reasons[y, x] |= _SHADOW if light < _UNLIT * sigma else _TEXTURE
                 continue
@@ -314,7 +316,7 @@ def _edge(
     levels: I64,
     codes: I32,
     direct: F32,
-    noise: float,
+    variance: F64,
     y: int,
     x: int,
     v: int,
@@ -344,7 +346,9 @@ def _edge(
     if before * after >= 0.0:
         return 0.5, boundary, 0.3
     slope = abs(after - before)
-    error = 1.5 * noise / max(float(min(direct[y, x], direct[v, u])), 1.0) / slope
+    # the place is between two pixels, of which each has about half of the weight
+    light = max(float(min(direct[y, x], direct[v, u])), 1.0)
+    error = np.sqrt(variance[0] + variance[1] * light) / light / slope
     return before / (before - after), boundary, min(max(error, _LEAST_EDGE_PX), 0.5)
 
 
@@ -387,7 +391,7 @@ def _fill(
 
 
 @compiled(
-    f"void(int64, int64, {_STACK}, int64[:, ::1], int64, int64, int64, int64, int64, float64, boolean, boolean, "
+    f"void(int64, int64, {_STACK}, int64[:, ::1], int64, int64, int64, int64, int64, float64[::1], boolean, boolean, "
     f"int64[:, ::1], {_WHOLE}, {_FLOATS}, {_BYTES}, {_FLOATS}, {_FLOATS})",
     allocates=False,
 )
@@ -401,7 +405,7 @@ def _refine_lines(
     finest: int,
     cell_px: int,
     offset_px: int,
-    noise: float,
+    variance: F64,
     along_y: bool,
     refine: bool,
     levels: I64,
@@ -432,7 +436,7 @@ def _refine_lines(
                 v, w = (i + 1, line) if along_y else (line, i + 1)
                 edge = reasons[v, w] == 0
                 if edge:
-                    at, u, error = _edge(stack, images, white, black, levels, codes, direct, noise, y, x, v, w)
+                    at, u, error = _edge(stack, images, white, black, levels, codes, direct, variance, y, x, v, w)
                     if u == -1.0:
                         continue
                     edge = u != -2.0

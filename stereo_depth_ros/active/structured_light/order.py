@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.active.structured_light.decoding import decode
+from stereo_depth_ros.active.structured_light.noise import Noise
 from stereo_depth_ros.active.structured_light.patterns import Pattern, PatternSequence
 from stereo_depth_ros.active.structured_light.phase import wave_of_images
 from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
@@ -292,7 +293,7 @@ class _Capture:
             shifts = [self._patterns[n].shift_deg for n in group]
             lines = np.stack([np.ascontiguousarray(self._lines[axis][n]) for n in group])
             reasons = coarse.reasons.copy()
-            wave = wave_of_images(lines, range(len(group)), period, shifts, 1.0, reasons)
+            wave = wave_of_images(lines, range(len(group)), period, shifts, Noise(1.0), reasons)
             apart = (place / period - wave.turn)[reasons == 0]
             apart = np.abs(apart - np.round(apart))
             if apart.size and np.mean(apart > _APART) > _DOUBTFUL:

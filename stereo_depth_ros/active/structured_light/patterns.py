@@ -187,6 +187,12 @@ class PatternSequence:
         """Number of the image with this role (ambient, white, black), from 0; None where there is none."""
         return next((number for number, pattern in enumerate(self.patterns) if pattern.role == role), None)
 
+    @property
+    def dark(self) -> int | None:
+        """Number of the black image, from 0, or else of the ambient one; None where there is neither."""
+        black = self.index("black")
+        return self.index("ambient") if black is None else black
+
     def coded(self, role: str, axis: str) -> list[int]:
         """Numbers of the images of a role, gray or phase, and an axis, from 0."""
         return [n for n, pattern in enumerate(self.patterns) if (pattern.role, pattern.axis) == (role, axis)]

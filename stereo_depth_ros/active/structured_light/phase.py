@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.active.structured_light.noise import Noise
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import compiled
@@ -57,7 +58,7 @@ class Wave:
 
 
 def wave_of_images(
-    stack: U8, numbers: Sequence[int], period_px: float, shifts_deg: Sequence[float], noise: float, reasons: U8
+    stack: U8, numbers: Sequence[int], period_px: float, shifts_deg: Sequence[float], noise: Noise, reasons: U8
 ) -> Wave:
     """The phase by least squares (Bruning et al. 1974): I_k = A + B cos(phase - shift_k).
 
@@ -69,7 +70,7 @@ def wave_of_images(
         numbers: of the images of this sinusoid, three or more.
         period_px: projector px.
         shifts_deg: of these images.
-        noise: standard deviation of the gray levels.
+        noise: of the gray levels.
         reasons: uint8 (H, W), receives TEXTURE where a pixel is saturated or its modulation weak, and SHADOW where it
             has none.
 
@@ -88,15 +89,17 @@ def wave_of_images(
             settings=("steps",),
         )
     weights = np.linalg.pinv(design)[1:]
-    deviation = noise * math.sqrt(0.5 * float((weights**2).sum()))
+    gain = 0.5 * float((weights**2).sum())
+    variance = np.array([gain * noise.variance, gain * noise.per_level / len(shifts)], np.float32)
     turn, sigma = np.empty((2, *stack.shape[1:]), np.float32)
     images = np.asarray(numbers, np.int64)
-    run_bands(_phase_rows, stack.shape[1], stack, images, weights.astype(np.float32), deviation, turn, sigma, reasons)
+    run_bands(_phase_rows, stack.shape[1], stack, images, weights.astype(np.float32), variance, turn, sigma, reasons)
     return Wave(period_px, len(shifts), turn, sigma)
 
 
 @compiled(
-    f"void(int64, int64, {_STACK}, int64[::1], {_FLOATS}, float64, {_FLOATS}, {_FLOATS}, {_BYTES})", allocates=False
+    f"void(int64, int64, {_STACK}, int64[::1], {_FLOATS}, float32[::1], {_FLOATS}, {_FLOATS}, {_BYTES})",
+    allocates=False,
 )
 def _phase_rows(
     first: int,
@@ -104,7 +107,7 @@ def _phase_rows(
     stack: U8,
     images: I64,
     weights: F32,
-    deviation: float,
+    variance: F32,
     turn: F32,
     sigma: F32,
     reasons: U8,
@@ -112,13 +115,15 @@ def _phase_rows(
     per_turn = np.float32(1.0 / (2.0 * np.pi))
     for y in range(first, last):
         for x in range(turn.shape[1]):
-            cosine, sine, largest = np.float32(0.0), np.float32(0.0), np.uint8(0)
+            cosine, sine, total, largest = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.uint8(0)
             for k in range(images.size):
                 level = stack[images[k], y, x]
                 largest = max(largest, level)
+                total += np.float32(level)
                 cosine += weights[0, k] * np.float32(level)
                 sine += weights[1, k] * np.float32(level)
             modulation = np.sqrt(cosine * cosine + sine * sine)
+            deviation = np.sqrt(variance[0] + variance[1] * total)
             if largest >= _SATURATED:
                 reasons[y, x] |= _TEXTURE
             elif modulation < _UNLIT * deviation:
@@ -128,7 +133,7 @@ def _phase_rows(
             else:
                 found = np.arctan2(sine, cosine) * per_turn
                 turn[y, x] = found - np.floor(found)
-                sigma[y, x] = np.float32(deviation) / modulation * per_turn
+                sigma[y, x] = deviation / modulation * per_turn
                 continue
             turn[y, x], sigma[y, x] = np.nan, np.nan
 
