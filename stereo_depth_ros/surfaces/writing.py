@@ -179,7 +179,7 @@ def _arrays_npz(path: Path, image: RangeImage, overwrite: bool) -> WrittenFile:
     t, output = image.triangulation, io.BytesIO()
     K = np.array([[t.f_px, 0, t.cx_px], [0, t.fy_px, t.cy_px], [0, 0, 1]])
     known = image.measured
-    np.savez_compressed(
+    np.savez(
         output,
         depth_m=np.where(known, image.depth_m, np.float32(np.nan)),
         sigma_m=np.where(known, image.sigma_m, np.float32(np.nan)),
