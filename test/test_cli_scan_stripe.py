@@ -65,7 +65,7 @@ def expected() -> list[tuple[F64, F64]]:
 
 def test_a_folder_with_a_table(run: Run, folder: Path) -> None:
     output, ply, image = folder / "o.mcap", folder / "o.ply", folder / "o.png"
-    more = ("--ply", ply, "--preview", image, "--json", folder / "r.json")
+    more = ("--export", ply, "--preview", image, "--json", folder / "r.json")
     code, out, err = run(
         folder / "images", "-o", output, "--kind", "stripe", "--laser", folder / "laser.yaml", *AXIS,
         "--motion", folder / "motion.csv", *more,

@@ -67,7 +67,7 @@ def names(requirements: Iterable[str]) -> set[str]:
 
 def optional(setup: SimpleNamespace) -> set[str]:
     """Requirements of the extras with which the package does more."""
-    return {*setup.extras_require["graph_cut"], *setup.extras_require["onnx"]}
+    return {requirement for extra in ("graph_cut", "onnx", "las") for requirement in setup.extras_require[extra]}
 
 
 def imports_of(folders: Iterable[str]) -> set[str]:

@@ -169,16 +169,22 @@ class BagWriter:
 
 
 def check_bag_output(
-    path: Path, inputs: Iterable[Path], *, reports: Iterable[Path | None] = (), overwrite: bool = False
+    path: Path,
+    inputs: Iterable[Path],
+    *,
+    more: Iterable[Path | None] = (),
+    reports: Iterable[Path | None] = (),
+    overwrite: bool = False,
 ) -> None:
-    """:func:`check_outputs` for one bag.
+    """:func:`check_outputs` for one bag, and ``more`` outputs beside it; None is ignored.
 
     Raises:
         BagError: wrong suffix.
         OutputError: it must not or cannot be written.
     """
     _check_name(path)
-    check_outputs([path], inputs, reports=reports, overwrite=overwrite)
+    outputs = [path, *(each for each in more if each is not None)]
+    check_outputs(outputs, inputs, reports=reports, overwrite=overwrite)
 
 
 def _check_name(path: Path) -> None:

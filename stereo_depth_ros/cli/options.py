@@ -16,6 +16,7 @@ __all__ = [
     "Bag",
     "BagOutput",
     "Duration",
+    "Export",
     "Json",
     "Left",
     "Matcher",
@@ -49,6 +50,15 @@ SideBySide = Annotated[
 Start = Annotated[float, typer.Option(min=0, metavar="SECONDS", help="Skip this time at the beginning of the bag.")]
 Duration = Annotated[
     float, typer.Option(min=0, metavar="SECONDS", help="Read the bag for this time only; 0 reads to the end.")
+]
+Export = Annotated[
+    Path | None,
+    typer.Option(
+        "--export",
+        metavar="FILE",
+        help="Write the first result, or each one where the name has {stamp}, as a mesh (.ply, .glb), a cloud "
+        "(.cloud.ply, .pcd, .las, .laz), a depth image (.png, 16 bits of mm) or arrays (.npz).",
+    ),
 ]
 Matcher = Annotated[
     str | None,

@@ -9,11 +9,13 @@ from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.camera_files.urls import camera_info_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
+from stereo_depth_ros.cli.export import SurfaceExport
 from stereo_depth_ros.cli.given import PIPELINE, given_parameters
 from stereo_depth_ros.cli.options import (
     Bag,
     BagOutput,
     Duration,
+    Export,
     Json,
     Left,
     Matcher,
@@ -55,10 +57,14 @@ def process(
     side_by_side: SideBySide = False,
     strict: Strict = False,
     view: Views = None,
+    export: Export = None,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.
+
+    With --export the depth is written to files too, as a mesh, a cloud or an image: of the first pair, or of each one
+    where the name has {stamp}, which becomes the stamp in nanoseconds.
 
     Exit codes are 0 for success, 1 for an error, 2 for wrong usage and 3 where some pairs were skipped.
 
@@ -68,21 +74,27 @@ def process(
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
       stereo-depth process drive.mcap -o depth.mcap --camera-info left.yaml right.yaml
       stereo-depth process drive.mcap -o depth.mcap --view anaglyph --view disparity_color
+      stereo-depth process drive.mcap -o depth.mcap --export 'meshes/{stamp}.glb'
     """
     file = read_parameters(params_file)
     views = check_views(view or ())
     stages = (*PIPELINE, "view") if views else PIPELINE
-    given = given_parameters(param or (), matcher, file=file, stages=stages, remedies={"view": "add --view"})
-    values = {**file, **given, **camera_info_values(camera_info, given)}
-    check_bag_output(
-        output, [*bag_files(bag), *parameter_files(params_file, values)], reports=[json_file], overwrite=overwrite
+    names = () if export is None else ("disparity_sigma_px",)  # which meshes and clouds depend on
+    given = given_parameters(
+        param or (), matcher, file=file, stages=stages, names=names, remedies={"view": "add --view"}
     )
+    values = {**file, **given, **camera_info_values(camera_info, given)}
+    surfaces = SurfaceExport(export, overwrite=overwrite)
+    inputs = [*bag_files(bag), *parameter_files(params_file, values)]
+    check_bag_output(output, inputs, more=[surfaces.name], reports=[json_file], overwrite=overwrite)
     config = pipeline_config(values)
     urls = config.camera_info
     files = camera_info_paths(urls.left_camera_info_url, urls.right_camera_info_url)
     prepare_kernels(config.matching)
     selection = BagSelection(bag, left, right, start, duration, side_by_side, files)
-    with progress_bar("computing") as progress:
-        drawn = dict.fromkeys(views, stage_config(ViewConfig, values))
-        result = process_bag(selection, output, config, progress, drawn, overwrite=overwrite, strict=strict)
-    finish_run(result, json_file, overwrite)
+    drawn = dict.fromkeys(views, stage_config(ViewConfig, values))
+    with surfaces, progress_bar("computing") as progress:
+        result = process_bag(
+            selection, output, config, progress, drawn, overwrite=overwrite, strict=strict, each=surfaces.add
+        )
+    finish_run(result, json_file, overwrite, surfaces=surfaces)

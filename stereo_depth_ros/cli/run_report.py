@@ -11,6 +11,7 @@ from pathlib import Path
 import typer
 from rich.text import Text
 
+from stereo_depth_ros.cli.export import SurfaceExport, add_files
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, show, tell, warn
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.evaluation.bag_score import BagScore
@@ -19,14 +20,20 @@ from stereo_depth_ros.offline.report import RunReport
 __all__ = ["finish_run", "truth_text"]
 
 
-def finish_run(result: RunReport, json_file: Path | None, overwrite: bool, image: Path | None = None) -> None:
+def finish_run(
+    result: RunReport,
+    json_file: Path | None,
+    overwrite: bool,
+    image: Path | None = None,
+    surfaces: SurfaceExport | None = None,
+) -> None:
     """Print tables or JSON and warnings; exit with code 3 if pairs were skipped or outputs lost.
 
     Raises:
         OutputError: the JSON file or stdout cannot be written.
     """
-    values = result.to_json() | ({"image": str(image)} if image else {})
-    show(_tables(result, image), values, json_file, overwrite=overwrite)
+    values = result.to_json() | ({"image": str(image)} if image else {}) | (surfaces.to_json() if surfaces else {})
+    show(_tables(result, image, surfaces), values, json_file, overwrite=overwrite)
     for text in result.warnings:
         warn(text)
     if result.skipped or (result.lost and not result.realtime):
@@ -34,16 +41,16 @@ def finish_run(result: RunReport, json_file: Path | None, overwrite: bool, image
         raise typer.Exit(EXIT_INCOMPLETE)
 
 
-def _tables(result: RunReport, image: Path | None = None) -> Iterator[TextTable]:
+def _tables(result: RunReport, image: Path | None, surfaces: SurfaceExport | None) -> Iterator[TextTable]:
     """Latency of each output, time of each stage, and a summary."""
     if result.outputs:
         yield _outputs_table(result)
     if result.stages_ms:
         yield _stages_table(result)
-    yield _summary_table(result, image)
+    yield _summary_table(result, image, surfaces)
 
 
-def _summary_table(result: RunReport, image: Path | None) -> TextTable:
+def _summary_table(result: RunReport, image: Path | None, surfaces: SurfaceExport | None) -> TextTable:
     facts = facts_table()
     facts.add_row("pairs read", str(result.pairs))
     if result.unpaired_left or result.unpaired_right:
@@ -61,6 +68,8 @@ def _summary_table(result: RunReport, image: Path | None) -> TextTable:
         facts.add_row("bag written", str(result.output))
     if image is not None:
         facts.add_row("image written", str(image))
+    if surfaces is not None:
+        add_files(facts, surfaces.written)
     return facts
 
 

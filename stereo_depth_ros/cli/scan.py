@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from stereo_depth_ros.active.shown_patterns import read_patterns
@@ -17,17 +16,16 @@ from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
+from stereo_depth_ros.cli.export import SurfaceExport, add_files
 from stereo_depth_ros.cli.given import given_parameters, refuse_ignored
-from stereo_depth_ros.cli.options import BagOutput, Json, Overwrite, Params, new_app
+from stereo_depth_ros.cli.options import BagOutput, Export, Json, Overwrite, Params, new_app
 from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, tell
 from stereo_depth_ros.cli.run_report import truth_text
 from stereo_depth_ros.cli.scan_stripe import MOVING, StripeScanOptions, scan_stripe
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.evaluation.bag_score import BagScore, score_disparity
-from stereo_depth_ros.files.ply import write_ply
 from stereo_depth_ros.offline.captures import CaptureSource
 from stereo_depth_ros.offline.scan import ScanSummary, scan_captures
 from stereo_depth_ros.pipeline import StereoResult
@@ -122,10 +120,7 @@ def scan(
     ambient: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Take this image without the stripe as ambient light.")
     ] = None,
-    ply: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.ply", help="Write the points to this file, of the first scan or merged."),
-    ] = None,
+    export: Export = None,
     param: Params = None,
     preview: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write the image and the depth of the first scan as a PNG.")
@@ -152,7 +147,7 @@ def scan(
       stereo-depth scan drive.mcap -o scan.mcap --patterns stripes.png
       stereo-depth scan captures -o scan.mcap --projector --camera-info camera.yaml projector.yaml --preview scan.png
       stereo-depth scan images -o scan.mcap --kind stripe --laser laser.yaml --turntable turntable.yaml --step 1.125 \\
-        --ply scan.ply --preview scan.png --param stripe_max_depth:=0.5
+        --export scan.ply --preview scan.png --param stripe_max_depth:=0.5
     """
     if kind not in _KINDS:
         raise ConfigError(
@@ -182,7 +177,7 @@ def scan(
                 moving,
                 ambient,
                 tuple(param or ()),
-                ply,
+                export,
                 preview,
                 json_file,
                 overwrite,
@@ -195,11 +190,18 @@ def scan(
         BagSelection(place, left, right, side_by_side=side_by_side, camera_files=tuple(camera_info or ())), projector
     )
     files = [*source.files, manifest]
-    check_bag_output(output, files, reports=[json_file, preview, ply], overwrite=overwrite)
+    surfaces = SurfaceExport(export, overwrite=overwrite)
+    check_bag_output(output, files, more=[surfaces.name], reports=[json_file, preview], overwrite=overwrite)
     shown, config = read_patterns(manifest), pipeline_config(given_parameters(param or (), None, file={}))
     prepare_kernels()
     first: list[StereoResult] = []
-    with progress_bar("reading") as progress:
+
+    def keep(result: StereoResult) -> None:
+        if not first:
+            first.append(result)
+        surfaces.add(result)
+
+    with surfaces, progress_bar("reading") as progress:
         scans = scan_captures(
             source,
             shown,
@@ -208,18 +210,14 @@ def scan(
             settle=settle,
             overwrite=overwrite,
             progress=progress,
-            each=lambda result: first.append(result) if not first else None,
+            each=keep,
         )
     if preview is not None:
         image = first[0]
         save_preview(preview, image.rectified.left, image.depth_m, place.name, overwrite=overwrite)
-    if ply is not None:
-        points, values_of_points = _cloud(first[0])
-        write_ply(ply, points, values_of_points, overwrite=overwrite)
     score = score_disparity(output, place) if is_bag(place) and not projector else None
-    values = {"scans": [each.to_json() for each in scans], "output": str(output)}
-    files_written = [("bag", output), ("image", preview), ("points", ply)]
-    show(_tables(scans, score, files_written), values, json_file, overwrite=overwrite)
+    values = {"scans": [each.to_json() for each in scans], "output": str(output)} | surfaces.to_json()
+    show(_tables(scans, score, [("bag", output), ("image", preview)], surfaces), values, json_file, overwrite=overwrite)
     if len(scans) > 1:
         tell(f"{len(scans)} scans in {place}")
 
@@ -236,15 +234,11 @@ def _manifest_beside(place: Path) -> Path:
     )
 
 
-def _cloud(result: StereoResult) -> tuple[F64, dict[str, U8]]:
-    """The points of a result, float64 (N, 3), meters, and their gray levels."""
-    points = result.points().reshape(-1, 3)
-    found = np.isfinite(points[:, 2])
-    return points[found].astype(np.float64), {"intensity": result.rectified.left.reshape(-1)[found]}
-
-
 def _tables(
-    scans: Sequence[ScanSummary], score: BagScore | None, written: Sequence[tuple[str, Path | None]]
+    scans: Sequence[ScanSummary],
+    score: BagScore | None,
+    written: Sequence[tuple[str, Path | None]],
+    surfaces: SurfaceExport,
 ) -> Iterator[TextTable]:
     table = plain_table("stamp:r", "valid:r", "median depth:r", "without depth", "decoding and matching:r")
     for each in scans:
@@ -265,4 +259,5 @@ def _tables(
     for what, path in written:
         if path is not None:
             facts.add_row(f"{what} written", str(path))
+    add_files(facts, surfaces.written)
     yield facts

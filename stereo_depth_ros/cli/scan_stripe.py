@@ -33,7 +33,6 @@ from stereo_depth_ros.datasets.image_pairs import find_image_pairs
 from stereo_depth_ros.datasets.numbered_images import numbered_images, read_plain_frame
 from stereo_depth_ros.datasets.rig_files import read_rig, rig_files
 from stereo_depth_ros.files.output import check_outputs
-from stereo_depth_ros.files.ply import write_ply
 from stereo_depth_ros.offline.pairs import read_pairs
 from stereo_depth_ros.offline.stripe_scan import (
     Capture,
@@ -47,6 +46,7 @@ from stereo_depth_ros.offline.stripe_scan import (
 )
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.stripe_scan import stripe_scan_plot
+from stereo_depth_ros.surfaces.writing import POINT_ENDS, WrittenFile, check_ending, write_points
 
 __all__ = ["MOVING", "StripeScanOptions", "scan_stripe"]
 
@@ -72,7 +72,7 @@ class StripeScanOptions:
         moving: "object", "sensor" or "plane".
         ambient: image without the stripe.
         param: parameters of the stage light_stripe.
-        ply, preview: further files.
+        export, preview: further files.
         json_file, overwrite: as of all commands.
     """
 
@@ -92,14 +92,14 @@ class StripeScanOptions:
     moving: str = "object"
     ambient: Path | None = None
     param: tuple[str, ...] = ()
-    ply: Path | None = None
+    export: Path | None = None
     preview: Path | None = None
     json_file: Path | None = None
     overwrite: bool = False
 
 
 def scan_stripe(options: StripeScanOptions) -> None:
-    """Scan the images, write the bag, the PLY file and the preview, and print what was found.
+    """Scan the images, write the bag, the file of points and the preview, and print what was found.
 
     Raises:
         StereoDepthError: options that contradict each other, files that cannot be read or written, nothing found.
@@ -110,7 +110,9 @@ def scan_stripe(options: StripeScanOptions) -> None:
     require_png("--preview", o.preview)
     inputs = [path for path in (o.laser, o.motion, o.turntable, o.ambient, *o.camera_info) if path is not None]
     inputs += bag_files(o.place) if of_bag else []
-    further = [path for path in (o.ply, o.preview) if path is not None]
+    if o.export is not None:
+        check_ending(o.export, POINT_ENDS)
+    further = [path for path in (o.export, o.preview) if path is not None]
     check_bag_output(o.output, inputs, reports=[o.json_file], overwrite=o.overwrite)
     check_outputs(further, inputs, overwrite=o.overwrite)
     table, pose_frame = _table(o)
@@ -134,13 +136,16 @@ def scan_stripe(options: StripeScanOptions) -> None:
             progress=lambda done: progress(done, max(count, done)),
         )
     points_m, level, sigma_m = result.cloud.points()
-    if o.ply is not None:
-        write_ply(o.ply, points_m, {"intensity": level, "sigma": sigma_m}, overwrite=o.overwrite)
+    files: list[WrittenFile] = []
+    if o.export is not None:
+        values = {"intensity": level, "sigma": sigma_m}
+        files.append(write_points(o.export, points_m, values, overwrite=o.overwrite))
     if o.preview is not None and result.first is not None:
         title = f"{o.place.name}: {len(points_m)} points of {result.profiles} images"
         image = stripe_scan_plot(*result.first, points_m, level, title)
         save_png(o.preview, image, overwrite=o.overwrite)
-    show(_tables(result, o), _values(result, o), o.json_file, overwrite=o.overwrite)
+    found = _values(result, o) | ({"surfaces": [file.to_json() for file in files]} if files else {})
+    show(_tables(result, o), found, o.json_file, overwrite=o.overwrite)
     for text in first_of(result.skipped):
         warn(text)
     if result.without_motion:
@@ -271,7 +276,7 @@ def _tables(result: StripeScan, o: StripeScanOptions) -> Iterator[TextTable]:
     facts.add_row("without", ", ".join(f"{name.lower().replace('_', ' ')} {count}" for count, name in counts) or "none")
     facts.add_row("size", " x ".join(f"{1e3 * extent:.1f}" for extent in high - low) + " mm, 99 % of the points")
     facts.add_row("standard deviation", f"median {1e3 * float(np.median(sigma_m)):.3f} mm, by the noise of the images")
-    for name, path in (("bag", o.output), ("points file", o.ply), ("preview", o.preview)):
+    for name, path in (("bag", o.output), ("points file", o.export), ("preview", o.preview)):
         if path is not None:
             facts.add_row(name, str(path))
     yield facts

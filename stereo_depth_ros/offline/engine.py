@@ -42,6 +42,7 @@ def process_bag(
     *,
     overwrite: bool = False,
     strict: bool = False,
+    each: Callable[[StereoResult], None] = lambda result: None,
 ) -> RunReport:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
@@ -55,6 +56,7 @@ def process_bag(
         views: parameters of the views that are written too, by topic.
         overwrite: replace an existing output.
         strict: raise what is a warning otherwise: the first pairs do not fit the calibration, see :class:`FirstPairs`.
+        each: called with every result, after its outputs are written.
 
     Raises:
         BagError, TopicError: no readable stereo bag, stamps that are not set, or no pair that can be processed.
@@ -66,7 +68,7 @@ def process_bag(
     check_bag_output(output, bag_files(selection.path), overwrite=overwrite)
     refused: dict[str, str] = {}
     stages_ms: dict[str, list[float]] = defaultdict(list)
-    engine = _Engine(config, views)
+    engine = _Engine(config, views, each)
     selection, choice = open_selection(selection, config.pairing)
     with BagPairs(selection, config.pairing) as pairs:
         with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
@@ -127,8 +129,11 @@ class _Engine:
         fault: the first one that the first pairs of a rig show; None where they show none.
     """
 
-    def __init__(self, config: PipelineConfig, views: Mapping[str, ViewConfig]) -> None:
+    def __init__(
+        self, config: PipelineConfig, views: Mapping[str, ViewConfig], each: Callable[[StereoResult], None]
+    ) -> None:
         self._types = RosbagsTypes()
+        self._each = each
         self._views = views
         self._frames, self._view_messages = ResultFrames(), ViewMessages(self._types)
         self._messages = ResultMessages(self._types)
@@ -151,6 +156,7 @@ class _Engine:
         writer.write_raw("/right/camera_info", INFO_TYPE, pair.right_info, pair.right_stamp_ns)
         for topic, message in self._outputs(result):
             writer.write(topic, message, result.stamp_ns)
+        self._each(result)
         return result.timings_ms
 
     def finish(self) -> None:
