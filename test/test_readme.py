@@ -243,6 +243,7 @@ def test_python_examples_are_found() -> None:
         "docs/python.md",
         "docs/space_time.md",
         "docs/structured_light.md",
+        "docs/surfaces.md",
         "docs/views.md",
     }
 
