@@ -41,7 +41,7 @@ REQUIREMENTS = [
 ]
 GRAPH_CUT = ["PyMaxflow>=1.3.0"]  # optional because it is under the GPL
 ONNX = ["onnxruntime>=1.21.0"]
-LAS = ["laspy>=2.6.0", "lazrs>=0.7.0"]
+LAS = ["laspy>=2.6.1", "lazrs>=0.7.0"]
 EXTRAS = {
     # for machines without ROS 2; common-interfaces brings sensor_msgs, stereo_msgs, diagnostic_msgs and std_srvs,
     # rclpy brings rcl_interfaces and rosgraph_msgs
@@ -61,7 +61,7 @@ EXTRAS = {
         "PyYAML>=6.0.1",
         *("pytest>=8.0.0", "pytest-xdist>=3.5.0"),
         "setuptools>=70.1",  # the first that builds a wheel by itself
-        "trimesh>=4.5.0",
+        "trimesh>=4.6.0",
     ],
     "lint": ["mypy>=2.0.0", "ruff>=0.14.0"],
 }

@@ -175,7 +175,9 @@ def test_without_the_library_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
         raise ModuleNotFoundError(f"No module named {name!r}")
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(OutputError, match=r"laz files need laspy and lazrs .*pip install stereo_depth_ros\[las\]"):
+    with pytest.raises(
+        OutputError, match=r"laz files need laspy and lazrs .*pip install laspy lazrs, which the extra las"
+    ):
         write_surface(tmp_path / "c.laz", image())
     with pytest.raises(OutputError, match=r"las files need laspy \(No module named 'laspy'\)"):
         check_ending(tmp_path / "c.las")

@@ -42,7 +42,7 @@ def check_las(path: Path) -> Any:
             subject=str(path),
             value=path.suffix,
             limit=needed,
-            remedy="pip install stereo_depth_ros[las], or choose .ply or .pcd",
+            remedy="pip install laspy lazrs, which the extra las brings, or choose .ply or .pcd",
         ) from error
     return laspy
 
