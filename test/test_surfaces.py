@@ -94,6 +94,13 @@ def test_a_slanted_plane_is_closed_and_has_its_normal() -> None:
     np.testing.assert_array_equal(mesh.colors, image.color[y, x])
 
 
+@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (1e-5, 2e-5, -1.0), (-0.5, 0.4, -0.7)])
+def test_exact_depths_are_closed(normal: tuple[float, float, float]) -> None:
+    """Their rounding to float32 is not a step."""
+    mesh = mesh_of(range_image(plane(normal, 1.7)[0], sigma_px=0.0))
+    assert len(mesh.triangles) == 2 * (WIDTH - 1) * (HEIGHT - 1)
+
+
 def test_the_floor_stays_at_grazing_angles() -> None:
     """A plane 12 cm below the camera, of which neighbors in a column are up to half a meter apart."""
     below = np.s_[41:, :]

@@ -21,6 +21,7 @@ __all__ = ["Mesh", "mesh_of", "normal_image"]
 
 _EDGE_SIGMAS = 3.0
 _MAX_ANGLE_DEG = 88.0
+_ROUNDING = np.float32(2.0**-23)  # of w and of the depth, relative; counts where the standard deviation is 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +130,7 @@ def _joined(image: RangeImage, edge_sigmas: float, max_angle_deg: float) -> tupl
         raise _out_of_range("max_angle_deg", max_angle_deg, "0..90 degrees", (0, 90))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         w = np.where(image.measured, np.float32(1) / image.depth_m, np.float32(np.nan))
-        v = np.square(image.sigma_m * w * w)  # sigma_w = sigma_Z / Z^2
+        v = np.square(image.sigma_m * w * w) + np.square(_ROUNDING * w)  # sigma_w = sigma_Z / Z^2
     right, down = np.empty(w.shape, np.uint8), np.empty(w.shape, np.uint8)
     k2, cos2_min = edge_sigmas**2, math.cos(math.radians(max_angle_deg)) ** 2
     rays: tuple[F64, F64] = image.rays
