@@ -12,7 +12,7 @@ import cv2
 from stereo_depth_ros.active.focus.distances import even_distances
 from stereo_depth_ros.synthetic.focal_stack import FocalStack, focal_stack
 
-__all__ = ["FAR_M", "FIRST_M", "IMAGES", "LAST_M", "NEAR_M", "stack", "write_stack"]
+__all__ = ["FAR_M", "FIRST_M", "IMAGES", "LAST_M", "NEAR_M", "stack", "write_distances", "write_stack"]
 
 NEAR_M, FAR_M = 0.45, 1.05  # of the scene
 FIRST_M, LAST_M = 1.2, 0.4  # of the focus, from far to near
@@ -31,3 +31,9 @@ def write_stack(folder: Path) -> Path:
     for number, frame in enumerate(stack().frames):
         cv2.imwrite(str(folder / f"focus{8 + number}.png"), frame.pixels)
     return folder
+
+
+def write_distances(path: Path) -> None:
+    """A table of the focus distances of these images."""
+    rows = [f"focus{8 + number}.png,{1e3 * distance}" for number, distance in enumerate(stack().distances_m)]
+    path.write_text("\n".join(["image,distance_mm", *rows, ""]))

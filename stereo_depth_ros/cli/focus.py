@@ -101,7 +101,7 @@ def focus(
     the numbers in their names. The depth of a pixel is the focus distance at which it is sharpest. It needs texture and
     focus distances beyond both ends of the scene; pixels without are invalid, with the reason.
 
-    Depth in meters needs the focus distances, from the lens: --near, --far and --order, or a table. In a table, the
+    Depth in meters must have the focus distances, from the lens: --near, --far and --order, or a table. In a table, the
     first column is image (a file name) or stamp_s, the second one is distance_m, distance_mm, diopters, or sensor_mm
     with --focal-length. Without them the result is the number of the sharpest image, to which 1 / Z is linear if the
     lens moves in equal steps.
