@@ -153,7 +153,7 @@ def focus(
         image = (
             focus_plot(sharp, result.index, len(images.frames), title)
             if result.depth_m is None
-            else depth_preview(sharp, result.depth_m, title)
+            else depth_preview(sharp, result.depth_m, title, "all in focus")
         )
         save_png(preview, image, overwrite=overwrite)
     values = _values(result, images, distances_m, topics, output)
