@@ -23,6 +23,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from stereo_depth_ros.active.focus.distances import even_distances
+from stereo_depth_ros.active.focus.stack import depth_from_focus
 from stereo_depth_ros.active.light_stripe.extraction import StripeExtractor
 from stereo_depth_ros.active.light_stripe.plane_calibration import calibrate_plane
 from stereo_depth_ros.active.one_shot.decoding import decode_edges, one_shot
@@ -35,12 +37,13 @@ from stereo_depth_ros.active.structured_light.phase import harmonics, wave_of_im
 from stereo_depth_ros.calibration.chessboard import Chessboard
 from stereo_depth_ros.camera_files.one_camera import read_camera
 from stereo_depth_ros.config import LightStripeConfig
-from stereo_depth_ros.core.types import F32, F64, U8, Frame
+from stereo_depth_ros.core.types import F32, F64, U8, Frame, Reason
 from stereo_depth_ros.datasets.numbered_images import numbered_images, read_plain_frame
 from stereo_depth_ros.files.output import write_file
 from stereo_depth_ros.geometry.epipolar import homogeneous
 from stereo_depth_ros.geometry.fundamental import estimate_fundamental
 from stereo_depth_ros.stages.rectification import Rectifier
+from stereo_depth_ros.synthetic.focal_stack import focal_stack
 from stereo_depth_ros.synthetic.projection import Optics, SyntheticScanner
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -65,6 +68,7 @@ def main() -> None:
     parts = (
         *(patterns_rendered, patterns_captured, stripes_rendered, stripes_photographed),
         *(light_stripe_rendered, light_stripe_on_boards),
+        *(focus_rendered, focus_photographed),
     )
     for part in parts:
         for row in part(arguments.data):
@@ -295,6 +299,48 @@ def light_stripe_on_boards(data: Path) -> Iterator[Row]:
         points = sum(map(len, result.residuals_m))
         figures = f"{len(result.stripes)}, {points}, {1e3 * result.median_m:.3f} mm"
         yield Row(f"laser line, boards, {method}", "poses, points, median distance from the plane", figures)
+
+
+def focus_rendered(_: Path) -> Iterator[Row]:
+    """A slanted plane and a box, 640x480, 16 images; the scene is 0.6 m deep."""
+    near_m, far_m = 0.45, 1.05
+    distances_m = even_distances(0.4, 1.2, 16, "inverse", "far-to-near")
+    for noise in (1.0, 3.0):
+        made = focal_stack(640, 480, distances_m, near_m=near_m, far_m=far_m, breathing=0.06, noise=noise)
+        found = depth_from_focus(made.frames, distances_m)
+        assert found.depth_m is not None and found.sigma_m is not None
+        inside = found.reasons != Reason.BORDER
+        valid = (found.reasons == 0) & made.textured
+        off: F32 = np.abs(found.depth_m - made.depth_m)[valid]
+        name = f"focal stack, rendered, noise {noise:g}"
+        yield Row(name, "textured pixels with a depth", f"{valid.sum() / (made.textured & inside).sum():.1%}")
+        yield Row(name, "others with a depth", f"{(found.reasons == 0)[~made.textured].mean():.2%}")
+        errors = f"{np.median(off) / (far_m - near_m):.2%}, {np.percentile(off, 90) / (far_m - near_m):.2%}"
+        yield Row(name, "error, of the range: median, 90 %", errors)
+        yield Row(name, "median error / sigma", f"{np.median(off / found.sigma_m[valid]):.2f}")
+        scales = [abs(p.scale - scale) for p, scale in zip(found.placements, made.scales, strict=True)]
+        yield Row(name, "largest error of the scale, of 0.06", f"{max(scales):.4f}")
+
+
+def focus_photographed(data: Path) -> Iterator[Row]:
+    """A keyboard by a phone, 1280x720, 16 images without focus distances: 1 / Z of a plane is linear in the pixel."""
+    frames = [read_plain_frame(path) for path in numbered_images([data / "active" / "f_focal_keyboard"])]
+    for window in (9, 21):
+        found = depth_from_focus(frames, window=window)
+        y, x = np.nonzero(np.isfinite(found.index))
+        index, kept = found.index[y, x], np.ones(len(x), bool)
+        A, off = np.column_stack([x, y, np.ones_like(x)]).astype(np.float64), index
+        for _ in range(10):
+            off = index - A @ np.linalg.lstsq(A[kept], index[kept], rcond=None)[0]
+            kept = np.abs(off) < 3 * 1.4826 * np.median(np.abs(off))
+        name = f"focal stack, keyboard, window {window}"
+        yield Row(name, "pixels with a depth", f"{found.valid_fraction:.1%}")
+        yield Row(
+            name, "off the plane, images: median; inliers, rms", f"{np.median(np.abs(off)):.2f}; {off[kept].std():.2f}"
+        )
+        start = time.perf_counter()
+        depth_from_focus(frames, window=window)
+        yield Row(name, "time", f"{time.perf_counter() - start:.1f} s")
 
 
 def read_rgb(path: Path) -> U8:

@@ -17,6 +17,7 @@ import known_projector
 import numpy as np
 from camera_file_texts import camchain, truth
 from evaluation_scenes import HEIGHT, WIDTH, write_scene
+from focal_stacks import write_distances, write_stack
 from known_projector import BESIDE
 from light_stripe_images import board_camera, write_boards
 from rendered_boards import SIZE, KnownRig, chessboard_points, chessboard_print, poses
@@ -190,6 +191,8 @@ INPUTS: Mapping[str, Callable[[Path], object]] = {
     "laser.yaml": lambda path: write_plane(path, exact_plane(), scanner().rig.left),
     "scan_images": lambda path: write_scan(path.parent / "scan").joinpath("images").rename(path),
     "table": write_table,
+    "focal_stack": write_stack,
+    "distances.csv": write_distances,
     "camera.yaml": lambda path: write_camera(path, _camera_beside(path), "camera"),
 }
 
@@ -209,7 +212,7 @@ def make_inputs(folder: Path, text: str, *, whole_bag: bool = False) -> None:
     for name, make in INPUTS.items():
         if name == SAMPLE_BAG and whole_bag:
             (folder / name).symlink_to(ROOT / name)
-        elif re.search(rf"(?<![\w/.]){re.escape(name)}\b", read_text):
+        elif re.search(rf"(?<![\w/.-]){re.escape(name)}\b", read_text):
             make(folder / name)
 
 

@@ -14,7 +14,7 @@ import pytest
 from stereo_depth_ros.core.camera import CameraModel, check_intrinsics
 from stereo_depth_ros.core.camera_yaml import camera_from_yaml, camera_to_yaml
 from stereo_depth_ros.core.errors import CalibrationError
-from stereo_depth_ros.stages.rectification import _build_maps
+from stereo_depth_ros.stages.rectification import rectification_maps
 
 FIVE, EIGHT = [-0.2, 0.1, 1e-3, -2e-3, 0.03], [0.5, -2.6, 8e-4, -4e-4, 1.4, 0.4, -2.4, 1.4]
 K = np.array([[400.0, 0, 150], [0, 410, 97], [0, 0, 1]])
@@ -56,7 +56,7 @@ def test_taken(model: str, D: Any, known: str, coefficients: Any) -> None:
     check_intrinsics(taken, "left camera")
     if known != "equidistant" and len(D) in (4, 5, 8, 12, 14):  # OpenCV knows no model names, only counts
         expected = cv2.initUndistortRectifyMap(K, np.array(D, np.float64), None, K, (320, 200), cv2.CV_16SC2)
-        maps = _build_maps(taken)
+        maps = rectification_maps(taken)
         assert (maps is None) == (not np.any(D))
         if maps is not None:
             np.testing.assert_array_equal(maps[0], expected[0])

@@ -76,8 +76,8 @@ def test_the_pipeline_leaves_its_input_as_it_is(pair: StereoPair) -> None:
 
 def test_maps_are_built_once_a_rig(pair: StereoPair, monkeypatch: pytest.MonkeyPatch) -> None:
     built: list[object] = []
-    build = rectification._build_maps
-    monkeypatch.setattr(rectification, "_build_maps", lambda camera: built.append(camera) or build(camera))
+    build = rectification.rectification_maps
+    monkeypatch.setattr(rectification, "rectification_maps", lambda camera: built.append(camera) or build(camera))
     pipeline = StereoPipeline(PipelineConfig(), SCENE.rig)
     assert built == [SCENE.rig.left, SCENE.rig.right]
     assert pipeline.process(pair).disparity.valid_fraction > 0

@@ -662,8 +662,8 @@ def test_nothing_of_the_size_of_wrong_camera_infos_is_built(
     camera: StereoCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sizes = []
-    real = rectification._build_maps
-    monkeypatch.setattr(rectification, "_build_maps", lambda c: (sizes.append((c.width, c.height)), real(c))[1])
+    real = rectification.rectification_maps
+    monkeypatch.setattr(rectification, "rectification_maps", lambda c: (sizes.append((c.width, c.height)), real(c))[1])
     rectified = {f"{side}/image_rect": f"{side}/image_raw" for side in ("left", "right")}
     with Graph(StereoDepthNode, RectifyNode, DisparityNode, FeatureNode, parameters=SMALL, remaps=rectified) as graph:
         for topic in ("disparity", "left/image_rect_color", "features/points2"):

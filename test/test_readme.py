@@ -160,6 +160,9 @@ def assert_made(output: Path) -> None:
         if "/stripe/merged" in topics:
             assert topics["/stripe/points2"].count >= 2
             return
+        if "/focus/index" in topics:
+            assert topics["/focus/index"].count == 1
+            return
         assert len(messages_of(output, "/points2")) == len(messages_of(output, "/left/image_rect")) >= 1
     else:
         assert any(output.iterdir()) if output.is_dir() else output.stat().st_size > 0
@@ -223,6 +226,10 @@ def check_results(names: Mapping[str, Any]) -> None:
     if "scan" in names:
         errors_px = np.abs(names["scan"].disparity_px - names["scanner"].truth().disparity_px)
         assert np.nanmedian(errors_px) < 0.05
+    if "focused" in names:
+        found = np.isfinite(names["focused"].depth_m)
+        assert found.mean() > 0.5
+        assert np.median(np.abs(names["focused"].depth_m - names["stack"].depth_m)[found]) < 0.006
     if "columns" in names:
         assert names["columns"].column_px.shape == (240, 320)
         assert (names["columns"].reasons == 0).mean() > 0.5
@@ -237,6 +244,7 @@ def check_results(names: Mapping[str, Any]) -> None:
 def test_python_examples_are_found() -> None:
     assert {block.document for block in BLOCKS if block.language == "python"} == {
         "README.md",
+        "docs/focus.md",
         "docs/geometry.md",
         "docs/one_shot.md",
         "docs/projector.md",

@@ -41,6 +41,7 @@ COMMANDS: Mapping[str, str] = {
     "rig": "Compute the fields of view, depth range, depth errors and recommended disparity range of a rig.",
     "patterns": "Write the patterns that a projector shows for a scan, and their manifest.",
     "scan": "Compute depth from images of projected light: of patterns, or of a light stripe.",
+    "focus": "Compute depth and an all-in-focus image from images at several focus distances.",
     "convert": "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth.",
     "evaluate": "Compare the disparities of matchers with ground truth, and measure their computing time.",
     "synthesize": "Write a synthetic stereo bag with exact ground truth.",

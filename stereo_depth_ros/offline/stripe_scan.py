@@ -111,14 +111,14 @@ def folder_pairs(
     return [(pair[0].name, reader(number, pair)) for number, pair in enumerate(found.pairs)]
 
 
-def bag_images(path: Path, topic: str | None = None) -> Iterator[Capture]:
-    """Captures of one image topic of a bag; None takes the only one.
+def bag_images(path: Path, topic: str | None = None, setting: str = "left") -> Iterator[Capture]:
+    """Captures of one image topic of a bag; None takes the only one. ``setting`` names the topic in errors.
 
     Raises:
         TopicError: no image topic of that name, or several without a name.
     """
     with BagReader(path) as reader:
-        chosen = _topic(reader, topic, _IMAGES, "image", "left")
+        chosen = _topic(reader, topic, _IMAGES, "image", setting)
         for message in reader.messages([chosen]):
             read = functools.partial(_decoded, reader, message)
             yield f"{message.log_time_ns / 1e9:.3f} s", read

@@ -21,7 +21,7 @@ _TICK_GAP = 26
 _FINE, _FEWEST_TICKS = tuple(k / 100 for k in range(101, 1000)), 4
 
 
-def preview(left: U8, depth_m: F32, title: str = "") -> U8:
+def preview(left: U8, depth_m: F32, title: str = "", caption: str = "left image, rectified") -> U8:
     """Left image and color-mapped depth side by side, uint8 (H', W', 3) BGR.
 
     Colors are linear in disparity, that is in 1 / Z: turbo from far (blue) to near (red), over the 1st to the 99th
@@ -31,6 +31,7 @@ def preview(left: U8, depth_m: F32, title: str = "") -> U8:
         left: uint8 (H, W) or (H, W, 3) BGR, the rectified left image.
         depth_m: float32 (H, W), meters, NaN where invalid.
         title: one line above both.
+        caption: one line below the image.
 
     Raises:
         ImageError: the two have different sizes.
@@ -45,7 +46,7 @@ def preview(left: U8, depth_m: F32, title: str = "") -> U8:
     near_m, far_m = _depth_range(depth_m)
     panels = (enlarged(left, _PANEL_WIDTH), enlarged(color_depth(depth_m, near_m, far_m), _PANEL_WIDTH))
     valid = np.count_nonzero(np.isfinite(depth_m)) / depth_m.size
-    captions = ("left image, rectified", f"depth, {100 * valid:.1f} % of pixels valid")
+    captions = (caption, f"depth, {100 * valid:.1f} % of pixels valid")
     return _compose(panels, captions, title, near_m, far_m)
 
 

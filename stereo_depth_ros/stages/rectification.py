@@ -17,7 +17,7 @@ from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import Rig
 from stereo_depth_ros.core.types import U8, U16, Frame, RectifiedPair, StereoPair
 
-__all__ = ["Rectifier", "gray_of_camera"]
+__all__ = ["Rectifier", "gray_of_camera", "rectification_maps"]
 
 AnyPixels = TypeVar("AnyPixels", bound=npt.NDArray[Any])
 
@@ -41,8 +41,8 @@ class Rectifier:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self._left_maps = _build_maps(rig.left)
-        self._right_maps = _build_maps(rig.right)
+        self._left_maps = rectification_maps(rig.left)
+        self._right_maps = rectification_maps(rig.right)
 
     def rectify(self, pair: StereoPair, depth: BitDepth | None = None) -> RectifiedPair:
         """Both images in gray, and the left one in color.
@@ -124,7 +124,7 @@ class Rectifier:
         return remapped
 
 
-def _build_maps(camera: CameraModel) -> tuple[Any, Any] | None:
+def rectification_maps(camera: CameraModel) -> tuple[Any, Any] | None:
     """Fixed-point maps from rectified to raw pixels; None if both are the same."""
     K_rectified = camera.P[:, :3]
     size = (camera.width, camera.height)
