@@ -16,7 +16,7 @@ from projected_views import slanted_view
 from stereo_depth_ros.active.structured_light.order import sequence_fault
 from stereo_depth_ros.active.structured_light.patterns import Pattern, PatternSequence
 from stereo_depth_ros.core.types import U8
-from stereo_depth_ros.synthetic.projection import SyntheticScanner
+from stereo_depth_ros.synthetic.projection import Optics, SyntheticScanner
 
 SIZE, PROJECTOR = (240, 180), (256, 192)
 
@@ -142,6 +142,27 @@ def turned(sequence: PatternSequence, sign: float = 1.0, shift_deg: float = 0.0)
         replace(p, shift_deg=sign * p.shift_deg + shift_deg) if p.role == "phase" else p for p in sequence.patterns
     )
     return replace(sequence, patterns=tuple(patterns))
+
+
+@pytest.mark.parametrize("steps", [3, 4, 5, 8])
+def test_a_projector_with_a_gamma_is_no_fault(steps: int) -> None:
+    """A gamma of 3 makes the rest of a sinusoid, and with three steps the spread of its amplitude, as large as 0.6."""
+    size = (200, 150)
+    phase = PatternSequence.of_kind("phase", size, steps=steps)
+    dark = [np.round(255.0 * (pattern / 255.0) ** 3).astype(np.uint8) for pattern in phase.render()]
+    matrix = np.array([[0.6, 0.02, -1.0], [-0.01, 0.6, 0.5]])
+    images = [np.asarray(cv2.warpAffine(each, matrix, (120, 90), flags=cv2.INTER_AREA), np.uint8) for each in dark]
+    assert sequence_fault(phase, images) == ""
+
+
+def test_a_camera_on_its_side_is_no_fault() -> None:
+    """Columns then change along the columns of the image; along its rows there are only noise and outlines."""
+    optics = Optics(noise=4.0)
+    scanner = SyntheticScanner(*SIZE, PROJECTOR, seed=11, optics=optics)
+    patterns = PatternSequence.of_kind("gray+phase", PROJECTOR)
+    images = [np.ascontiguousarray(np.rot90(scanner.capture(pattern)[0])) for pattern in patterns.render()]
+    assert sequence_fault(patterns, images) == ""
+    assert sequence_fault(patterns, [*images[:6], images[8], images[9], images[6], images[7], *images[10:]])
 
 
 @pytest.mark.parametrize("kind", ["phase", "gray+phase"])

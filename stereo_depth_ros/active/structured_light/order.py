@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,7 +29,9 @@ _TO_SUM = 0.5  # of white - black: an image and its inverse together are white a
 _UNLIKE = 0.2  # share of the pixels where they are not
 _BINARY = 0.7  # share of the pixels that are near white or black
 _RESOLVED = 0.3  # of white - black: the median difference between a bit and its inverse, where the camera resolves it
-_SINUSOID = 0.45  # of the amplitude: the rest of a sinusoid with a gamma is below it, that of exchanged steps above it
+# Of the amplitude, times the square root of the steps above 3: the rest of a sinusoid with a gamma of up to 3 is below,
+# that of exchanged steps above. Many steps average a gamma out, not below the second figure.
+_SINUSOID, _LEAST_SINUSOID = 0.9, 0.45
 _SAME = 0.05  # of the amplitude: two images that differ by less are one
 _FEW = 4.0  # changes along a line, below which the scene has a say in their number
 _MORE = 1.3
@@ -38,8 +42,11 @@ _DOUBLED = 0.05  # share of the pixels
 _OFF_MIDDLE = 0.12  # of white - black, what tells 0 from 1 in an image that is blurred
 _DOUBTFUL = 0.5  # share of the pixels
 _APART = 0.2  # periods; a Gray code is within a quarter, most of it much nearer, a wrong phase anywhere
+_TURNED = 1.1  # times as much change along the other direction
 _NAMED = 4  # candidates, of more none is named
-_SPREAD = 0.3  # of the amplitude of a sinusoid relative to white - black, over the pixels: quartile to quartile
+# Of the amplitude of a sinusoid relative to white - black, over the pixels: quartile to quartile. That of three steps
+# varies with the phase by up to 0.5 with a gamma of 3, that of more steps by 0.1.
+_SPREAD_OF_THREE, _SPREAD = 0.75, 0.3
 
 
 def sequence_fault(sequence: PatternSequence, images: Sequence[U8]) -> str:
@@ -92,12 +99,17 @@ class _Capture:
     def __init__(self, sequence: PatternSequence, images: Sequence[U8]) -> None:
         self._sequence = sequence
         self._patterns = sequence.patterns
-        # lines along the coordinate that is coded
-        self._lines = {
-            "columns": [image[_STRIDE // 2 :: _STRIDE] for image in images],
-            "rows": [image[:, _STRIDE // 2 :: _STRIDE].T for image in images],
-        }
+        self._lines = {"columns": _rows_of(images), "rows": _columns_of(images)}
+        for axis in sequence.axes:
+            self._lines[axis] = self._along(axis, images)
         self._white, self._black = sequence.index("white"), sequence.index("black")
+
+    def _along(self, axis: str, images: Sequence[U8]) -> list[U8]:
+        """Lines along the coordinate that is coded; of a camera on its side they are those of the other direction."""
+        coded = [number for number, pattern in enumerate(self._patterns) if pattern.axis == axis]
+        lines = self._lines[axis]
+        other = _columns_of(images) if axis == "columns" else _rows_of(images)
+        return other if _variation(other, coded) > _TURNED * _variation(lines, coded) else lines
 
     def fault(self) -> str:
         """The first fault; empty where there is none."""
@@ -259,9 +271,10 @@ class _Capture:
                 np.mean((values - design @ fit)[:, clear] ** 2, axis=0) * len(group) / max(1, len(group) - 3)
             )
             low, middle, high = np.percentile((amplitude / self._swing(axis, lit))[clear], (25, 50, 75))
-            if high - low > _SPREAD * middle:
+            if high - low > (_SPREAD_OF_THREE if len(group) == 3 else _SPREAD) * middle:
                 return f"the images of period {period:g} px have no common amplitude: one is probably another image"
-            if len(group) > 3 and np.median(rest / amplitude[clear]) > _SINUSOID:
+            limit = max(_SINUSOID / math.sqrt(max(1, len(group) - 3)), _LEAST_SINUSOID)
+            if len(group) > 3 and np.median(rest / amplitude[clear]) > limit:
                 return f"the images of period {period:g} px follow no sinusoid: their order is probably another one"
         return ""
 
@@ -280,7 +293,8 @@ class _Capture:
                 if doubtful > _DOUBTFUL * np.count_nonzero(lit):
                     return (
                         f"the periods of the {axis} contradict each other in {doubtful / np.count_nonzero(lit):.0%} of "
-                        "the pixels: steps are exchanged, or the shifts of the manifest have the wrong sign"
+                        "the pixels: steps are exchanged, the shifts of the manifest have the wrong sign, or these "
+                        "periods and steps are too few for the noise and the gamma of the projector"
                     )
                 return ""
             coarse = self._decoded(axis, gray)
@@ -316,6 +330,21 @@ def _partners(patterns: Sequence[Pattern], numbers: Sequence[int]) -> dict[int, 
     """The inverse of each image of a Gray code, where there is one."""
     by_bit = {(patterns[n].bit, patterns[n].inverse): n for n in numbers}
     return {n: by_bit.get((patterns[n].bit, not patterns[n].inverse)) for n in numbers}
+
+
+def _rows_of(images: Sequence[U8]) -> list[U8]:
+    return [image[_STRIDE // 2 :: _STRIDE] for image in images]
+
+
+def _columns_of(images: Sequence[U8]) -> list[U8]:
+    return [image[:, _STRIDE // 2 :: _STRIDE].T for image in images]
+
+
+def _variation(lines: Sequence[U8], numbers: Sequence[int]) -> float:
+    """Mean change along the lines of what differs between images that follow each other."""
+    pairs = itertools.pairwise(numbers)
+    changes = [np.abs(np.diff(lines[i].astype(np.int16) - lines[j], axis=1)).mean() for i, j in pairs if lines[i].size]
+    return float(np.mean(changes)) if changes else 0.0
 
 
 def _steps(code: npt.NDArray[np.int64], clear: npt.NDArray[np.bool_]) -> tuple[float, float]:
