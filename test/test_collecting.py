@@ -42,6 +42,37 @@ def test_the_first_pattern_begins_again() -> None:
     assert collector.missing == [0, 1, 2, 3]
 
 
+def test_what_is_shown_after_the_last_pattern_belongs_to_no_other_sequence() -> None:
+    collector: AnnouncedPatterns[str] = AnnouncedPatterns(2, settle=0)
+    scans = []
+    for scan in ("first", "second"):
+        for number in range(2):
+            collector.show(number)
+            scans.append(collector.add(f"{scan} {number}"))
+        collector.show(1)  # said again
+        assert collector.add("still the last pattern") is None
+        assert collector.missing == [0, 1]
+    assert [scan for scan in scans if scan] == [["first 0", "first 1"], ["second 0", "second 1"]]
+    stripes: AnnouncedPatterns[str] = AnnouncedPatterns(1, settle=0)
+    stripes.show(0)
+    assert [stripes.add(name) for name in "ab"] == [["a"], ["b"]]
+
+
+def test_captures_of_two_calibrations_are_no_sequence() -> None:
+    old, new = object(), object()
+    announced: AnnouncedPatterns[str] = AnnouncedPatterns(3, settle=0)
+    changing: ChangingPatterns[str] = ChangingPatterns(3, 0, lambda name: np.zeros((1, 1), np.uint8), lambda names: "")
+    for number, calibration in enumerate((old, old, new)):
+        announced.show(number)
+        assert announced.add(f"{number}", calibration) is None
+        assert changing.add(f"{number}", calibration) is None
+    assert announced.missing == [0, 1]
+    assert changing.seen == 1
+    assert announced.abandoned == changing.abandoned == 1
+    assert changing.add("3", new) is None
+    assert changing.add("4", new) == ["2", "3", "4"]
+
+
 def test_a_pattern_that_the_sequence_does_not_have_is_refused() -> None:
     collector: AnnouncedPatterns[str] = AnnouncedPatterns(COUNT, settle=0)
     for number in (-1, COUNT):

@@ -35,6 +35,7 @@ from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 __all__ = ["StructuredLightNode", "main"]
 
 _NUMBER = "std_msgs/msg/Int32"
+_CAUSE_OF_INCOMPLETE = "the first pattern came again, or the calibration changed, before the last one"
 
 
 class StructuredLightNode(StereoNode):
@@ -81,7 +82,7 @@ class StructuredLightNode(StereoNode):
             self.add_input("scan/shown", self._on_shown)
         add_trigger(self, "~/next", self._next)
         add_trigger(self, "~/restart", self._restart)
-        self.diagnostics.watch_loss("incomplete scans", lambda: "the first pattern came again before the last one")
+        self.diagnostics.watch_loss("incomplete scans", lambda: _CAUSE_OF_INCOMPLETE)
         self.diagnostics.watch_state(self._no_sequence)
         self._report()
 
@@ -103,7 +104,7 @@ class StructuredLightNode(StereoNode):
     def _add(self, capture: Capture, rig: StereoRig) -> None:
         if len(self._patterns) > 1:
             self._collector.settle = self.parameters.get(StructuredLightConfig).settle_frames
-        complete = self._collector.add(capture)
+        complete = self._collector.add(capture, rig)
         self.diagnostics.counters["captures"] += 1
         if complete is not None:
             self._publish(complete, rig)
@@ -153,7 +154,7 @@ class StructuredLightNode(StereoNode):
 
     def _report(self) -> None:
         """On scan/wanted and /diagnostics."""
-        self.diagnostics.counters["incomplete scans"] = self._announced.abandoned
+        self.diagnostics.counters["incomplete scans"] = self._collector.abandoned
         count = len(self._patterns)
         if self._changing is not None:
             self.diagnostics.facts = {"patterns": f"{min(self._changing.seen, count)} of {count} seen"}

@@ -168,7 +168,7 @@ def find_sequences(
     for count, (capture, rig) in enumerate(captured, start=1):
         while waiting and waiting[0][0] <= capture[0].stamp_ns:
             announced.show(waiting.pop(0)[1])
-        complete = collector.add(capture)
+        complete = collector.add(capture, rig)
         if complete is not None:
             found += 1
             yield complete, rig

@@ -42,6 +42,8 @@ class AnnouncedPatterns(Generic[T]):
         self.abandoned = 0
         self._shown: int | None = None
         self._skip = 0
+        self._done = False  # what is shown belongs to the sequence that is complete
+        self._calibration: object = None
 
     @property
     def missing(self) -> list[int]:
@@ -72,11 +74,18 @@ class AnnouncedPatterns(Generic[T]):
             return
         if number == 0 and 0 in self.taken:
             self.restart()
-        self._shown, self._skip = number, self.settle
+        self._shown, self._skip, self._done = number, self.settle, False
 
-    def add(self, capture: T) -> list[T] | None:
-        """One capture; all in the order of the patterns with the last one that was missing, else None."""
-        if self._shown is None or self._shown in self.taken:
+    def add(self, capture: T, calibration: object = None) -> list[T] | None:
+        """One capture; all in the order of the patterns with the last one that was missing, else None.
+
+        Captures of another calibration object than that of the one before begin a sequence.
+        """
+        if calibration is not self._calibration:
+            self.abandoned += bool(self.taken)
+            self.taken.clear()
+            self._calibration = calibration
+        if self._shown is None or self._shown in self.taken or self._done:
             return None
         if self._skip:
             self._skip -= 1
@@ -86,6 +95,7 @@ class AnnouncedPatterns(Generic[T]):
             return None
         complete = [self.taken[number] for number in range(self._count)]
         self.taken = {}
+        self._done = self._count > 1
         return complete
 
 
@@ -104,6 +114,7 @@ class ChangingPatterns(Generic[T]):
     Attributes:
         seen: patterns since the last sequence.
         fault: why the last ones are no sequence; empty where there are too few to tell.
+        abandoned: sequences that another calibration cut off.
     """
 
     def __init__(self, count: int, settle: int, gray: Callable[[T], U8], fault: Callable[[list[T]], str]) -> None:
@@ -115,8 +126,10 @@ class ChangingPatterns(Generic[T]):
         self._before: U8 | None = None
         self._noise = _LEVELS[1] / _NOISES
         self._quiet = 0
+        self._calibration: object = None
         self.seen = 0
         self.fault = ""
+        self.abandoned = 0
 
     def restart(self) -> None:
         """Forget what was taken."""
@@ -125,8 +138,15 @@ class ChangingPatterns(Generic[T]):
         self._quiet = self.seen = 0
         self.fault = ""
 
-    def add(self, capture: T) -> list[T] | None:
-        """One capture; the captures of the sequence that it completes, else None."""
+    def add(self, capture: T, calibration: object = None) -> list[T] | None:
+        """One capture; the captures of the sequence that it completes, else None.
+
+        Captures of another calibration object than that of the one before begin a sequence.
+        """
+        if calibration is not self._calibration:
+            self.abandoned += bool(self._taken)
+            self.restart()
+            self._calibration = calibration
         if self.settle:
             self._quiet = 0 if self._has_changed(self._gray(capture)) else self._quiet + 1
             if self._quiet != self.settle:
