@@ -145,7 +145,7 @@ def turned(sequence: PatternSequence, sign: float = 1.0, shift_deg: float = 0.0)
 
 
 @pytest.mark.parametrize("steps", [3, 4, 5, 8])
-def test_a_projector_with_a_gamma_is_no_fault(steps: int) -> None:
+def test_a_gamma_of_the_projector_raises_no_alarm(steps: int) -> None:
     """A gamma of 3 makes the rest of a sinusoid, and with three steps the spread of its amplitude, as large as 0.6."""
     size = (200, 150)
     phase = PatternSequence.of_kind("phase", size, steps=steps)
@@ -155,7 +155,7 @@ def test_a_projector_with_a_gamma_is_no_fault(steps: int) -> None:
     assert sequence_fault(phase, images) == ""
 
 
-def test_a_camera_on_its_side_is_no_fault() -> None:
+def test_a_camera_on_its_side_raises_no_alarm() -> None:
     """Columns then change along the columns of the image; along its rows there are only noise and outlines."""
     optics = Optics(noise=4.0)
     scanner = SyntheticScanner(*SIZE, PROJECTOR, seed=11, optics=optics)

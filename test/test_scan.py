@@ -187,4 +187,6 @@ def test_inputs_that_are_none_are_refused(run: Run, tmp_path: Path, manifest: Pa
     refused(run("scan", bag, "-o", bag, "--overwrite", "--patterns", manifest), "would overwrite an input", code=1)
     (tmp_path / "patterns.json").write_text("{")
     refused(run("scan", bag, *options, "--patterns", manifest), "is not JSON", code=1)
+    manifest.write_text('{"projector": {"width": 64, "height": 48}, "images": [{"role": "white"}]}')
+    refused(run("scan", bag, *options, "--patterns", manifest), f"{manifest}: no image has the role gray or phase")
     assert not (tmp_path / "o.mcap").exists()

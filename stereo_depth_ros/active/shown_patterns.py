@@ -19,7 +19,7 @@ from stereo_depth_ros.active.structured_light.order import sequence_fault
 from stereo_depth_ros.active.structured_light.patterns import PatternSequence
 from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
 from stereo_depth_ros.core.bit_depth import BitDepth
-from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.types import U8, Frame
 from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES, read_image
 from stereo_depth_ros.stages.rectification import gray_of_camera
@@ -142,7 +142,11 @@ def read_patterns(path: Path) -> ShownPatterns:
         ImageError: an image without color stripes.
     """
     if path.suffix.lower() not in IMAGE_SUFFIXES:
-        return ShownSequence(read_manifest(path))
+        sequence = read_manifest(path)
+        try:
+            return ShownSequence(sequence)
+        except ConfigError as error:
+            raise error.about(path) from error
     return ShownStripes(read_stripes(_rgb(path)))
 
 
