@@ -12,7 +12,7 @@ from stereo_bags import sequence
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
 from stereo_depth_ros.core.types import Frame, StereoPair
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
-from stereo_depth_ros.views.frame import ResultFrames
+from stereo_depth_ros.views.result_frames import ResultFrames
 
 
 @functools.cache

@@ -28,8 +28,9 @@ from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
 from stereo_depth_ros.views.anaglyph import anaglyph
 from stereo_depth_ros.views.color_maps import depth_color, disparity_color
 from stereo_depth_ros.views.convergence import converged, subject_disparity
-from stereo_depth_ros.views.frame import RECTIFIED, ResultFrames
+from stereo_depth_ros.views.frame import RECTIFIED
 from stereo_depth_ros.views.interpolation import interpolate_view
+from stereo_depth_ros.views.result_frames import ResultFrames
 from stereo_depth_ros.views.topics import VIEWS, ViewMessages
 
 pytestmark = pytest.mark.graph

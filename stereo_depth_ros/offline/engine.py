@@ -27,7 +27,7 @@ from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
-from stereo_depth_ros.views.frame import ResultFrames
+from stereo_depth_ros.views.result_frames import ResultFrames
 from stereo_depth_ros.views.topics import ViewMessages
 
 __all__ = ["process_bag"]

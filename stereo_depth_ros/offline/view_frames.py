@@ -21,7 +21,8 @@ from stereo_depth_ros.core.types import F32, U8, Frame, StereoPair
 from stereo_depth_ros.diagnosis.opening import no_pair_error, open_selection, skipped_text
 from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.pipeline import StereoPipeline
-from stereo_depth_ros.views.frame import ResultFrames, ViewFrame
+from stereo_depth_ros.views.frame import ViewFrame
+from stereo_depth_ros.views.result_frames import ResultFrames
 
 __all__ = ["BagFrames", "map_frame", "pair_frame"]
 

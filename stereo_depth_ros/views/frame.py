@@ -10,20 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from stereo_depth_ros.bags.message_types import RosbagsTypes
-from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, U8, StereoPair
 from stereo_depth_ros.messages.disparity import published_disparity, published_triangulation
-from stereo_depth_ros.messages.image import decode_pair
 from stereo_depth_ros.messages.types import stamp_ns
-from stereo_depth_ros.outputs import ResultMessages
-from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.depth import depth_from_disparity
 from stereo_depth_ros.views.color_order import as_bgr, bgr_pixels
 
-__all__ = ["RECTIFIED", "ResultFrames", "ViewFrame"]
+__all__ = ["RECTIFIED", "ViewFrame"]
 
 RECTIFIED = ("left/image_rect_color", "right/image_rect_color")
 
@@ -83,21 +78,3 @@ class ViewFrame:
         """Depth, float32 (H, W), meters, NaN where invalid; of a calibrated rig."""
         assert self.triangulation is not None  # views in meters are refused without a calibration
         return depth_from_disparity(self.published_px, self.triangulation)
-
-
-class ResultFrames:
-    """Frames of a stream of results of the pipeline: the same as a node has them from the messages."""
-
-    def __init__(self) -> None:
-        self._messages = ResultMessages(RosbagsTypes())
-        self._depth = BitDepth()
-
-    def of(self, result: StereoResult) -> ViewFrame:
-        """The frame of a result; it is valid until the next one.
-
-        Raises:
-            CalibrationError: the rig is not calibrated.
-        """
-        left, right = self._messages.left_rectified_color(result), self._messages.right_rectified_color(result)
-        pair = decode_pair(left, right, RECTIFIED, self._depth)
-        return ViewFrame.of_message(self._messages.disparity(result), result.calibrated_rig, pair, "disparity")

@@ -38,6 +38,7 @@ _MORE = 1.3
 _FINEST = 2  # of the bits that are resolved
 _JUMPS = 0.35  # of the steps of a code: depth edges are fewer, and one wrong bit makes half of them jumps
 _NEAR_PX = 4
+_STEP_PX = 5  # of the camera: the steps of narrower cells are not looked at
 _DOUBLED = 0.05  # share of the pixels
 _OFF_MIDDLE = 0.12  # of white - black, what tells 0 from 1 in an image that is blurred
 _DOUBTFUL = 0.5  # share of the pixels
@@ -238,7 +239,7 @@ class _Capture:
             before = number, changes
             code = 2 * code + (bit ^ (code & 1 == 1))
             steps, jumps = _steps(code, direct_light)
-            if steps * _NEAR_PX > np.count_nonzero(lit) / len(lit):
+            if steps * _STEP_PX > np.count_nonzero(lit) / len(lit):
                 break  # a few pixels to a step
             if length > 1 and jumps > max(_JUMPS * steps, 1.0):
                 return (
