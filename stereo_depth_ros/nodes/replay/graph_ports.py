@@ -87,12 +87,7 @@ class GraphPorts:
         self._msgtypes = {**_MSGTYPES, **dict.fromkeys(views, _IMAGE_TYPE)}
         self.output_topics = tuple(self._msgtypes)
         self.on_output: Callable[[str, int, int], bool] = lambda topic, stamp_ns, now_ns: False
-        self._subscriptions = {
-            topic: node.create_subscription(
-                message_class(msgtype), topic, lambda data, topic=topic: self._receive(topic, data), _QOS, raw=True
-            )
-            for topic, msgtype in self._msgtypes.items()
-        }
+        self._subscriptions = self._subscribe()
         for topic, (msgtype, latched) in _NOTES.items():
             node.create_subscription(
                 message_class(msgtype),
@@ -180,15 +175,31 @@ class GraphPorts:
         Lazy nodes unsubscribe their inputs once their outputs have no subscriber. Fast DDS 2.14 can hang when a
         participant is deleted at the same time as endpoints of another one: so these are deleted first.
         """
+        self._unsubscribe()
+        settled = time.monotonic() + _SETTLE_S
+        while time.monotonic() < settled:
+            self.spin(0.05)
+        self._executor.shutdown()
+
+    def subscribe_again(self) -> None:
+        """Leave the outputs until the lazy nodes are idle and forget what they have received, then subscribe again."""
+        self._unsubscribe()
+        self._subscriptions = self._subscribe()
+
+    def _subscribe(self) -> dict[str, Any]:
+        return {
+            topic: self._node.create_subscription(
+                message_class(msgtype), topic, lambda data, topic=topic: self._receive(topic, data), _QOS, raw=True
+            )
+            for topic, msgtype in self._msgtypes.items()
+        }
+
+    def _unsubscribe(self) -> None:
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         end = time.monotonic() + _UNSUBSCRIBE_TIMEOUT_S
         while any(p.get_subscription_count() for p in self._publishers.values()) and time.monotonic() < end:
             self.spin(0.05)
-        settled = time.monotonic() + _SETTLE_S
-        while time.monotonic() < settled:
-            self.spin(0.05)
-        self._executor.shutdown()
 
     def _topics(self) -> list[str]:
         ends: list[Any] = [*self._publishers.values(), *self._subscriptions.values()]
