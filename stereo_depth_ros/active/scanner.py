@@ -14,10 +14,12 @@ import numpy as np
 
 from stereo_depth_ros.active.projector.disparity import disparity_from_projector
 from stereo_depth_ros.active.shown_patterns import ShownPatterns
+from stereo_depth_ros.active.structured_light.collecting import ChangingPatterns
 from stereo_depth_ros.active.structured_light.correspondence import disparity_from_maps
 from stereo_depth_ros.active.structured_light.projector_map import ProjectorMap
 from stereo_depth_ros.config import MatchingConfig, PipelineConfig
 from stereo_depth_ros.core.errors import ImageError
+from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32, U8, Frame, MatchResult, Reason, StereoPair
@@ -25,11 +27,26 @@ from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.depth import reject_behind
 from stereo_depth_ros.stages.rectification import Rectifier
 
-__all__ = ["Capture", "Scanner"]
+__all__ = ["Capture", "Scanner", "by_changes", "settling"]
 
 Capture: TypeAlias = tuple[Frame, ...]  # of the left and the right camera, or of the only one
 
 _LEAST_RANGE_PX, _LARGEST_PX = 32, 2048
+
+
+def by_changes(patterns: ShownPatterns, settle: int) -> ChangingPatterns[Capture]:
+    """Collects the captures of patterns that only their images tell; those of the left camera count."""
+    return ChangingPatterns(
+        len(patterns),
+        settle,
+        lambda capture: to_gray(capture[0]),
+        lambda captures: patterns.fault([capture[0] for capture in captures]),
+    )
+
+
+def settling(patterns: ShownPatterns, settle: int) -> int:
+    """Captures that are skipped after a change: of a single pattern none, every capture is a scan."""
+    return settle if len(patterns) > 1 else 0
 
 
 class Scanner:

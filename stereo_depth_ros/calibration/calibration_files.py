@@ -5,16 +5,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 from stereo_depth_ros.calibration.calibration_result import StereoCalibration
 from stereo_depth_ros.calibration.projection import parameter_names
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_yaml import camera_to_yaml
+from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.files.output import check_outputs, write_file
 
-__all__ = ["calibration_files", "save_calibration", "write_camera"]
+__all__ = ["calibration_files", "save_calibration", "write_calibration_files", "write_camera"]
 
 
 def calibration_files(folder: Path) -> list[Path]:
@@ -33,13 +35,32 @@ def save_calibration(calibration: StereoCalibration, folder: Path, *, overwrite:
     Raises:
         OutputError: one of the files exists and ``overwrite`` is false (then none is written), or cannot be written.
     """
-    left, right, values, report = calibration_files(folder)
-    check_outputs([left, right, values, report], overwrite=overwrite)
-    text = json.dumps(calibration.to_json(), indent=2)
-    write_file(values, f"{text}\n", overwrite=overwrite, make_folders=True)
-    write_file(report, "\n".join(_report(calibration)) + "\n", overwrite=overwrite)
-    write_camera(left, calibration.rig.left, "left", overwrite=overwrite)
-    write_camera(right, calibration.rig.right, "right", overwrite=overwrite)
+    write_calibration_files(folder, calibration.to_json(), _report(calibration), calibration.rig, overwrite=overwrite)
+
+
+def write_calibration_files(
+    folder: Path, values: Any, report: Iterable[str], rig: StereoRig, right_comment: str = "", *, overwrite: bool
+) -> None:
+    """Write the files of :func:`calibration_files`.
+
+    Args:
+        folder: the output folder, which is created if missing.
+        values: plain data for calibration.json.
+        report: lines of calibration.txt.
+        rig: both cameras.
+        right_comment: lines of YAML comments at the beginning of right.yaml.
+        overwrite: replace the files that are there.
+
+    Raises:
+        OutputError: one of the files exists and ``overwrite`` is false (then none is written), or cannot be written.
+    """
+    paths = left_path, right_path, values_path, report_path = calibration_files(folder)
+    check_outputs(paths, overwrite=overwrite)
+    text = json.dumps(values, indent=2)
+    write_file(values_path, f"{text}\n", overwrite=overwrite, make_folders=True)
+    write_file(report_path, "\n".join(report) + "\n", overwrite=overwrite)
+    write_camera(left_path, rig.left, "left", overwrite=overwrite)
+    write_file(right_path, right_comment + camera_to_yaml(rig.right, "right"), overwrite=overwrite)
 
 
 def write_camera(path: Path, camera: CameraModel, camera_name: str, *, overwrite: bool = False) -> None:

@@ -29,6 +29,7 @@ __all__ = [
     "image_frame",
     "image_size",
     "list_images",
+    "plain_frame",
     "read_disparity_image",
     "read_frame",
     "read_image",
@@ -128,7 +129,12 @@ def read_frame(path: Path, camera: CameraModel, stamp_ns: int = 0) -> Frame:
 
 def image_frame(pixels: U8, camera: CameraModel, stamp_ns: int = 0) -> Frame:
     """The pixels of :func:`read_image` as a frame of ``camera``, mono8 or bgr8."""
-    return Frame(pixels, stamp_ns, camera.frame_id, "mono8" if pixels.ndim == 2 else "bgr8")
+    return plain_frame(pixels, stamp_ns, camera.frame_id)
+
+
+def plain_frame(pixels: U8, stamp_ns: int, frame_id: str) -> Frame:
+    """The pixels of :func:`read_image` as a frame, mono8 or bgr8."""
+    return Frame(pixels, stamp_ns, frame_id, "mono8" if pixels.ndim == 2 else "bgr8")
 
 
 def image_size(pixels: U8) -> tuple[int, int]:

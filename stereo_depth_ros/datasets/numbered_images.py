@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stereo_depth_ros.core.errors import BagError
 from stereo_depth_ros.core.types import Frame
-from stereo_depth_ros.datasets.image_files import list_images, read_image
+from stereo_depth_ros.datasets.image_files import list_images, plain_frame, read_image
 
 __all__ = ["numbered_images", "read_plain_frame"]
 
@@ -43,8 +43,7 @@ def read_plain_frame(path: Path, stamp_ns: int = 0, frame_id: str = "camera_opti
     Raises:
         BagError: not a readable image.
     """
-    pixels = read_image(path)
-    return Frame(pixels, stamp_ns, frame_id, "mono8" if pixels.ndim == 2 else "bgr8")
+    return plain_frame(read_image(path), stamp_ns, frame_id)
 
 
 def _order(path: Path) -> tuple[tuple[int, str], ...]:

@@ -8,7 +8,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
-from stereo_depth_ros.active.scanner import Capture, Scanner
+from stereo_depth_ros.active.scanner import Capture, Scanner, by_changes, settling
 from stereo_depth_ros.active.shown_patterns import ShownPatterns, read_patterns
 from stereo_depth_ros.active.structured_light.collecting import AnnouncedPatterns, ChangingPatterns
 from stereo_depth_ros.config import (
@@ -20,7 +20,6 @@ from stereo_depth_ros.config import (
     StructuredLightConfig,
 )
 from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
@@ -60,11 +59,11 @@ class StructuredLightNode(StereoNode):
         config = self.parameters.get(StructuredLightConfig)
         self._patterns = _patterns(config)
         count = len(self._patterns)
-        settle = config.settle_frames if count > 1 else 0
+        settle = settling(self._patterns, config.settle_frames)
         self._announced: AnnouncedPatterns[Capture] = AnnouncedPatterns(count, settle)
         self._changing: ChangingPatterns[Capture] | None = None
         if config.pattern_signal == "images":
-            self._changing = ChangingPatterns(count, settle, lambda capture: to_gray(capture[0]), self._fault)
+            self._changing = by_changes(self._patterns, settle)
         self._collector = self._changing or self._announced
         self._scanner_of = functools.lru_cache(maxsize=1)(self._make_scanner)
         self._messages = ResultMessages(self.types)
@@ -102,8 +101,7 @@ class StructuredLightNode(StereoNode):
         self._add((decode_from(self, "left/image_raw", message),), rig)
 
     def _add(self, capture: Capture, rig: StereoRig) -> None:
-        if len(self._patterns) > 1:
-            self._collector.settle = self.parameters.get(StructuredLightConfig).settle_frames
+        self._collector.settle = settling(self._patterns, self.parameters.get(StructuredLightConfig).settle_frames)
         complete = self._collector.add(capture, rig)
         self.diagnostics.counters["captures"] += 1
         if complete is not None:
@@ -142,9 +140,6 @@ class StructuredLightNode(StereoNode):
         self._collector.restart()
         self._report()
         return "begun again: all patterns are missing"
-
-    def _fault(self, captures: list[Capture]) -> str:
-        return self._patterns.fault([capture[0] for capture in captures])
 
     def _no_sequence(self) -> str:
         count, seen = len(self._patterns), self._changing.seen if self._changing else 0

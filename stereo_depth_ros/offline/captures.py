@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-from stereo_depth_ros.active.scanner import Capture
+from stereo_depth_ros.active.scanner import Capture, by_changes, settling
 from stereo_depth_ros.active.shown_patterns import ShownPatterns
 from stereo_depth_ros.active.structured_light.collecting import AnnouncedPatterns, ChangingPatterns
 from stereo_depth_ros.bags.pairs import BagSelection
@@ -19,9 +19,7 @@ from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.camera_files.reading import read_rig_files, rig_file_paths
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import BagError, CalibrationError, ImageError, TopicError
-from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.datasets.image_files import framed, image_frame, read_image, read_pair
 from stereo_depth_ros.datasets.image_pairs import find_image_pairs
 from stereo_depth_ros.datasets.numbered_images import numbered_images
@@ -156,11 +154,11 @@ def find_sequences(
         ConfigError: an announced number that the sequence does not have.
     """
 
-    settle = settle if len(patterns) > 1 else 0
+    settle = settling(patterns, settle)
     collector: AnnouncedPatterns[Capture] | ChangingPatterns[Capture]
     announced = collector = AnnouncedPatterns(len(patterns), settle)
     if not announcements:
-        collector = ChangingPatterns(len(patterns), settle, _gray, lambda found: _fault(patterns, found))
+        collector = by_changes(patterns, settle)
     waiting = sorted(announcements)
     first: list[Capture] = []
     found = count = 0
@@ -202,10 +200,6 @@ def find_sequences(
 
 def _fault(patterns: ShownPatterns, captures: Sequence[Capture]) -> str:
     return patterns.fault([each[0] for each in captures])
-
-
-def _gray(capture: Capture) -> U8:
-    return to_gray(capture[0])
 
 
 def _named(patterns: ShownPatterns, numbers: Sequence[int]) -> str:

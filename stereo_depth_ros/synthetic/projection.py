@@ -28,6 +28,7 @@ from stereo_depth_ros.synthetic.rig import (
     R_RIGHT_LEFT,
     inside_raw_image,
     product,
+    raw_pixels,
     rotation_into,
     synthetic_rig,
 )
@@ -230,7 +231,7 @@ class SyntheticScanner:
     def _lit(self, points: F64) -> tuple[F64, F64, npt.NDArray[np.bool_]]:
         """Projector column and row of points, and whether the projector lights them."""
         projector = self.projector
-        column_px, row_px, z = _projected_points(projector, (points - CENTER_LEFT_PROJECTOR_M) @ R_PROJECTOR_LEFT.T)
+        column_px, row_px, z = raw_pixels(projector, (points - CENTER_LEFT_PROJECTOR_M) @ R_PROJECTOR_LEFT.T)
         inside = (z > 0) & (np.abs(column_px - (projector.width - 1) / 2) <= projector.width / 2)
         inside &= np.abs(row_px - (projector.height - 1) / 2) <= projector.height / 2
         return column_px, row_px, inside & ~self._shadow(points, CENTER_LEFT_PROJECTOR_M)
@@ -419,16 +420,3 @@ def _projector(size: tuple[int, int]) -> CameraModel:
     return CameraModel(
         width, height, "plumb_bob", K, _D_PROJECTOR, np.identity(3), np.identity(4)[:3], "projector_optical_frame"
     )
-
-
-def _projected_points(camera: CameraModel, points: F64) -> tuple[F64, F64, F64]:
-    """Column, row, px, and depth of points, float64 (H, W, 3) in the frame of a plumb_bob camera."""
-    z = points[..., 2]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        x, y = points[..., 0] / z, points[..., 1] / z
-    k1, k2, p1, p2, k3 = camera.D
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    column = camera.K[0, 0] * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + camera.K[0, 2]
-    row = camera.K[1, 1] * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + camera.K[1, 2]
-    return column, row, z

@@ -19,7 +19,15 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["CENTER_LEFT_RIGHT_M", "R_RIGHT_LEFT", "inside_raw_image", "product", "rotation_into", "synthetic_rig"]
+__all__ = [
+    "CENTER_LEFT_RIGHT_M",
+    "R_RIGHT_LEFT",
+    "inside_raw_image",
+    "product",
+    "raw_pixels",
+    "rotation_into",
+    "synthetic_rig",
+]
 
 _WIDTH, _HEIGHT = 640, 480  # of the values below, which are scaled to other sizes
 _K_LEFT = ((415.3, 0.0, 321.4), (0.0, 409.8, 236.2), (0.0, 0.0, 1.0))
@@ -83,18 +91,25 @@ def synthetic_rig(width: int, height: int) -> StereoRig:
 
 def inside_raw_image(camera: CameraModel, points: F64) -> npt.NDArray[np.bool_]:
     """Whether points, float64 (..., 3) in the rectified frame of ``camera``, project into its raw image; bool (...)."""
-    raw_points = points @ camera.R  # R^T X for rows
+    u, v, z = raw_pixels(camera, points @ camera.R)  # R^T X for rows
     with np.errstate(invalid="ignore"):
-        x, y = raw_points[..., 0] / raw_points[..., 2], raw_points[..., 1] / raw_points[..., 2]
+        inside: npt.NDArray[np.bool_] = (
+            (z > 0) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+        )
+    return inside
+
+
+def raw_pixels(camera: CameraModel, points: F64) -> tuple[F64, F64, F64]:
+    """Column and row, px, and depth of points, float64 (..., 3) in the raw frame of a plumb_bob camera."""
+    z = points[..., 2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x, y = points[..., 0] / z, points[..., 1] / z
         k1, k2, p1, p2, k3 = camera.D
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         u = camera.K[0, 0] * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + camera.K[0, 2]
         v = camera.K[1, 1] * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + camera.K[1, 2]
-        inside: npt.NDArray[np.bool_] = (
-            (raw_points[..., 2] > 0) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
-        )
-    return inside
+    return u, v, z
 
 
 def _rectifying_rotation() -> F64:

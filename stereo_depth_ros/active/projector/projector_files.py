@@ -4,15 +4,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
 from stereo_depth_ros.active.projector.result import ProjectorCalibration
-from stereo_depth_ros.calibration.calibration_files import calibration_files, write_camera
+from stereo_depth_ros.calibration.calibration_files import write_calibration_files
 from stereo_depth_ros.calibration.projection import parameter_names
-from stereo_depth_ros.core.camera_yaml import camera_to_yaml
-from stereo_depth_ros.files.output import check_outputs, write_file
 
 __all__ = ["save_projector_calibration"]
 
@@ -28,15 +25,9 @@ def save_projector_calibration(calibration: ProjectorCalibration, folder: Path, 
     Raises:
         OutputError: one of the files exists and ``overwrite`` is false (then none is written), or cannot be written.
     """
-    left, right, values, report = calibration_files(folder)
-    check_outputs([left, right, values, report], overwrite=overwrite)
-    text = json.dumps(calibration.to_json(), indent=2)
-    write_file(values, f"{text}\n", overwrite=overwrite, make_folders=True)
-    write_file(report, "\n".join(_report(calibration)) + "\n", overwrite=overwrite)
-    rig = calibration.stereo.rig
-    write_camera(left, rig.left, "left", overwrite=overwrite)
     comment = "".join(f"# {line}\n" for line in _raster(calibration))
-    write_file(right, comment + camera_to_yaml(rig.right, "right"), overwrite=overwrite)
+    rig = calibration.stereo.rig
+    write_calibration_files(folder, calibration.to_json(), _report(calibration), rig, comment, overwrite=overwrite)
 
 
 def _raster(calibration: ProjectorCalibration) -> Iterator[str]:
