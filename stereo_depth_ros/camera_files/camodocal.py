@@ -18,6 +18,7 @@ from stereo_depth_ros.camera_files.stored import StoredCamera, StoredFile
 from stereo_depth_ros.camera_files.values import rigid
 from stereo_depth_ros.core.errors import CalibrationError
 from stereo_depth_ros.core.plain_values import entry, number, whole
+from stereo_depth_ros.core.pose import quaternion_rotation
 from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 
@@ -85,7 +86,7 @@ def is_extrinsics(document: Document) -> bool:
 
 def read_extrinsics(document: Document) -> StoredFile:
     """The pose: from the left to the right camera, a unit quaternion and meters."""
-    q = np.array([_at(document.values, "transform", f"q_{axis}") for axis in "wxyz"])
+    q = np.array([_at(document.values, "transform", f"q_{axis}") for axis in "xyzw"])
     T = np.array([_at(document.values, "transform", f"t_{axis}") for axis in "xyz"])
     if abs(np.linalg.norm(q) - 1) > 1e-3:
         raise CalibrationError(
@@ -93,7 +94,7 @@ def read_extrinsics(document: Document) -> StoredFile:
             limit=1,
             remedy="write a unit quaternion",
         )
-    return StoredFile(EXTRINSICS, document.source, pose=(_rotation(q / np.linalg.norm(q)), T))
+    return StoredFile(EXTRINSICS, document.source, pose=(quaternion_rotation(q), T))
 
 
 def is_vins(document: Document) -> bool:
@@ -126,18 +127,6 @@ def read_vins(document: Document, read_beside: Callable[[str], StoredFile]) -> S
 
 def _with_body(camera: StoredCamera, name: str, body: F64) -> StoredCamera:
     return StoredCamera(name, camera.K, camera.distortion_model, camera.D, camera.size, body=body)
-
-
-def _rotation(q: F64) -> F64:
-    """float64 (3, 3) of a unit quaternion w, x, y, z."""
-    w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _at(values: Any, *keys: str) -> float:

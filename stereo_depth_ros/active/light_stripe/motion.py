@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,6 +12,7 @@ import numpy as np
 
 from stereo_depth_ros.active.light_stripe.light_plane import LightPlane
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.pose import Pose, slerp
 from stereo_depth_ros.core.types import F64
 
 __all__ = ["MotionTrack", "StripeMotion", "Turntable", "parse_axis", "pose_matrix", "turn"]
@@ -108,15 +108,7 @@ def turn(turntable: Turntable, angle_rad: float) -> F64:
 
 def pose_matrix(pose: F64) -> F64:
     """The rigid motion, float64 (4, 4), of x, y, z, qx, qy, qz, qw; the quaternion need not have length 1."""
-    x, y, z, w = pose[3:] / np.linalg.norm(pose[3:])
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return _rigid(rotation, pose[:3])
+    return Pose.from_quaternion(pose[3:], pose[:3]).matrix
 
 
 def parse_axis(text: str) -> F64:
@@ -192,16 +184,5 @@ class MotionTrack:
 def _between(one: F64, other: F64, share: float) -> F64:
     value = one + share * (other - one)
     if one.size == 7:
-        value[3:] = _slerp(one[3:] / np.linalg.norm(one[3:]), other[3:] / np.linalg.norm(other[3:]), share)
+        value[3:] = slerp(one[3:] / np.linalg.norm(one[3:]), other[3:] / np.linalg.norm(other[3:]), share)
     return np.asarray(value, np.float64)
-
-
-def _slerp(one: F64, other: F64, share: float) -> F64:
-    cosine = float(one @ other)
-    if cosine < 0:
-        other, cosine = -other, -cosine
-    angle = float(np.arccos(min(cosine, 1.0)))
-    if angle < 1e-6:
-        return one + share * (other - one)
-    weights: Sequence[float] = np.sin([(1 - share) * angle, share * angle]) / np.sin(angle)
-    return np.asarray(weights[0] * one + weights[1] * other, np.float64)
