@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         OutputError,
         StereoDepthError,
         TopicError,
+        TransformError,
     )
     from stereo_depth_ros.core.rig import StereoRig
     from stereo_depth_ros.core.types import Frame, MatchResult, Reason, StereoPair
@@ -51,6 +52,7 @@ __all__ = [
     "StereoResult",
     "StereoRig",
     "TopicError",
+    "TransformError",
     "__version__",
     "create_matcher",
     "read_pairs",
@@ -63,7 +65,7 @@ _NAMES = {
     "core.camera": ("CameraModel",),
     "core.errors": (
         *("BagError", "CalibrationError", "CameraOrderError", "ConfigError", "GraphError", "ImageError"),
-        *("MessageError", "OutputError", "StereoDepthError", "TopicError"),
+        *("MessageError", "OutputError", "StereoDepthError", "TopicError", "TransformError"),
     ),
     "core.rig": ("StereoRig",),
     "core.types": ("Frame", "MatchResult", "Reason", "StereoPair"),

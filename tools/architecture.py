@@ -32,6 +32,7 @@ ORDER = (
     "files",
     "camera_files",
     "config",
+    "ranging",
     "matching",
     "stages",
     "pipeline",

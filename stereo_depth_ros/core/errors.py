@@ -17,6 +17,7 @@ __all__ = [
     "OutputError",
     "StereoDepthError",
     "TopicError",
+    "TransformError",
 ]
 
 ErrorT = TypeVar("ErrorT", bound="StereoDepthError")
@@ -102,3 +103,7 @@ class TopicError(StereoDepthError):
 
 class GraphError(StereoDepthError):
     """The ROS graph is not available, a node has exited, or a topic has no publisher or subscriber."""
+
+
+class TransformError(StereoDepthError):
+    """A transform between two frames that is missing, not known at a time, or not one."""

@@ -13,7 +13,7 @@ from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.messages.types import stamp_ns
 
-__all__ = ["joint_value", "pose_value"]
+__all__ = ["joint_value", "pose_numbers", "pose_value"]
 
 
 def joint_value(msg: Any, joint: str, topic: str = "") -> tuple[int, F64]:
@@ -45,9 +45,18 @@ def pose_value(msg: Any, topic: str = "") -> tuple[int, F64]:
     """Stamp, integer nanoseconds, and x, y, z, qx, qy, qz, qw, float64 (7,), of a geometry_msgs/PoseStamped.
 
     Raises:
+        MessageError: as :func:`pose_numbers`.
+    """
+    return stamp_ns(msg.header, topic), pose_numbers(msg.pose.position, msg.pose.orientation, topic)
+
+
+def pose_numbers(position: Any, orientation: Any, topic: str = "") -> F64:
+    """x, y, z, qx, qy, qz, qw, float64 (7,), of the two parts of a pose or a transform.
+
+    Raises:
         MessageError: values that are not finite, or a quaternion that is not of length 1.
     """
-    p, q = msg.pose.position, msg.pose.orientation
+    p, q = position, orientation
     value = _finite(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w], np.float64), topic)
     length = float(np.linalg.norm(value[3:]))
     if not 0.5 < length < 2:
@@ -58,7 +67,7 @@ def pose_value(msg: Any, topic: str = "") -> tuple[int, F64]:
             limit=1.0,
             remedy="publish a valid orientation",
         )
-    return stamp_ns(msg.header, topic), value
+    return value
 
 
 def _finite(value: F64, topic: str) -> F64:

@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The tree of frames of a bag: what /tf_static, /tf and topics of odometry hold; and /tf_static of a written bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.core.errors import MessageError, TransformError
+from stereo_depth_ros.core.pose import Pose
+from stereo_depth_ros.core.transforms import Transforms
+from stereo_depth_ros.messages.transforms import ODOMETRY_TYPE, TF_TYPE, add_odometry, add_transforms
+from stereo_depth_ros.messages.types import make_header
+
+__all__ = ["STATIC_TOPIC", "BagTransforms", "StaticTransform", "read_transforms", "write_static_transforms"]
+
+STATIC_TOPIC, TOPIC = "/tf_static", "/tf"
+
+
+@dataclass(frozen=True)
+class StaticTransform:
+    """A transform that never changes: ``parent_from_child`` takes points of the child to the parent."""
+
+    parent: str
+    child: str
+    parent_from_child: Pose
+
+
+@dataclass(frozen=True)
+class BagTransforms:
+    """The tree of frames of a bag.
+
+    Attributes:
+        tree: all poses.
+        topics: that hold some.
+        left_out: number of messages whose poses are not valid.
+        first: why the first of them is left out; empty where none is.
+    """
+
+    tree: Transforms
+    topics: tuple[str, ...]
+    left_out: int
+    first: str
+
+
+def read_transforms(reader: BagReader) -> BagTransforms:
+    """All poses of /tf_static, /tf, topics of the same type with these ends of their names, and odometry.
+
+    Odometry adds the frames that have no parent otherwise. Messages that are damaged are left out and counted.
+
+    Raises:
+        BagError: the bag is damaged where it is read.
+    """
+    tree, odometry = Transforms(), Transforms()
+    names = {name: info.msgtype for name, info in reader.topics.items() if info.count}
+    used = [name for name, kind in names.items() if kind == TF_TYPE and name.endswith((STATIC_TOPIC, TOPIC))]
+    used += [name for name, kind in names.items() if kind == ODOMETRY_TYPE]
+    left_out, first = 0, ""
+    for message in reader.messages(used) if used else ():
+        try:
+            if names[message.topic] == ODOMETRY_TYPE:
+                add_odometry(odometry, reader.deserialize(message), message.topic)
+            else:
+                static = message.topic.endswith(STATIC_TOPIC)
+                add_transforms(tree, reader.deserialize(message), message.topic, static=static)
+        except (MessageError, TransformError) as error:
+            left_out += 1
+            first = first or str(error.about(message.topic))
+    tree.add_missing(odometry)
+    return BagTransforms(tree, tuple(used), left_out, first)
+
+
+def write_static_transforms(bag: BagWriter, transforms: Iterable[StaticTransform], stamp_ns: int) -> None:
+    """Write all of them in one latched message on /tf_static.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    types = RosbagsTypes()
+    known = types.typestore.types
+    stamped = []
+    for each in transforms:
+        x, y, z, w = map(float, each.parent_from_child.quaternion)
+        a, b, c = map(float, each.parent_from_child.translation_m)
+        transform = known["geometry_msgs/msg/Transform"](
+            translation=known["geometry_msgs/msg/Vector3"](x=a, y=b, z=c),
+            rotation=known["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
+        )
+        header = make_header(types, stamp_ns, each.parent)
+        stamped.append(
+            known["geometry_msgs/msg/TransformStamped"](header=header, child_frame_id=each.child, transform=transform)
+        )
+    message = known[TF_TYPE](transforms=stamped)
+    bag.write_raw(STATIC_TOPIC, TF_TYPE, types.serialize(message), stamp_ns, latched=True)
