@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         ImageError,
         MessageError,
         OutputError,
+        RegistrationError,
         StereoDepthError,
         TopicError,
     )
@@ -45,6 +46,7 @@ __all__ = [
     "OutputError",
     "PipelineConfig",
     "Reason",
+    "RegistrationError",
     "StereoDepthError",
     "StereoPair",
     "StereoPipeline",
@@ -63,7 +65,7 @@ _NAMES = {
     "core.camera": ("CameraModel",),
     "core.errors": (
         *("BagError", "CalibrationError", "CameraOrderError", "ConfigError", "GraphError", "ImageError"),
-        *("MessageError", "OutputError", "StereoDepthError", "TopicError"),
+        *("MessageError", "OutputError", "RegistrationError", "StereoDepthError", "TopicError"),
     ),
     "core.rig": ("StereoRig",),
     "core.types": ("Frame", "MatchResult", "Reason", "StereoPair"),
