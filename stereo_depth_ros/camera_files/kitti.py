@@ -16,11 +16,12 @@ from stereo_depth_ros.camera_files.documents import Document
 from stereo_depth_ros.camera_files.stored import Size, StoredFile
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import BagError, CalibrationError
+from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["KITTI", "is_kitti", "parse_calibration", "read_kitti", "rig_from_calibration"]
+__all__ = ["KITTI", "is_kitti", "parse_calibration", "read_kitti", "reference_from_camera", "rig_from_calibration"]
 
 KITTI = "KITTI calibration"
 _GRAY = (0, 1)  # numbers of the cameras
@@ -116,6 +117,27 @@ def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size:
         return StereoRig(_raw_camera(values, left, rig.left), _raw_camera(values, right, rig.right))
     except KeyError as error:
         raise _lacks(values, error) from error
+
+
+def reference_from_camera(values: dict[str, F64], camera: int) -> Pose:
+    """The pose of a rectified camera in the frame of camera 0, which the poses of KITTI odometry are of.
+
+    Its projection matrix is K (1 | t), with X_camera = X_0 + t.
+
+    Args:
+        values: result of :func:`parse_calibration`.
+        camera: its number.
+
+    Raises:
+        BagError: the calibration lacks this camera, or its matrix is incomplete.
+    """
+    try:
+        P = _projection(values, camera)
+    except KeyError as error:
+        raise _lacks(values, error) from error
+    t_z = P[2, 3]
+    t_x, t_y = (P[0, 3] - P[0, 2] * t_z) / P[0, 0], (P[1, 3] - P[1, 2] * t_z) / P[1, 1]
+    return Pose(np.identity(3), -np.array([t_x, t_y, t_z]))
 
 
 def _lacks(values: dict[str, F64], error: KeyError) -> BagError:

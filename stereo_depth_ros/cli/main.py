@@ -42,6 +42,7 @@ COMMANDS: Mapping[str, str] = {
     "patterns": "Write the patterns that a projector shows for a scan, and their manifest.",
     "scan": "Compute depth from images of projected light: of patterns, or of a light stripe.",
     "focus": "Compute depth and an all-in-focus image from images at several focus distances.",
+    "fuse": "Fuse the depth of all pairs of a bag or dataset, with poses of the camera, to one surface.",
     "convert": "Write a dataset as a stereo bag with camera infos and, if the dataset has it, ground truth.",
     "evaluate": "Compare the disparities of matchers with ground truth, and measure their computing time.",
     "synthesize": "Write a synthetic stereo bag with exact ground truth.",

@@ -15,6 +15,7 @@ __all__ = [
     "ImageError",
     "MessageError",
     "OutputError",
+    "RegistrationError",
     "StereoDepthError",
     "TopicError",
     "TransformError",
@@ -95,6 +96,10 @@ class BagError(StereoDepthError):
 
 class OutputError(BagError):
     """A file that cannot be written, or that would destroy what is read or what is there."""
+
+
+class RegistrationError(StereoDepthError):
+    """Surfaces whose relative pose cannot be found: too little in common, or a motion that they do not determine."""
 
 
 class TopicError(StereoDepthError):

@@ -12,14 +12,18 @@ import io
 from collections.abc import Iterator
 from pathlib import Path
 
+from stereo_depth_ros.camera_files.documents import read_documents
 from stereo_depth_ros.camera_files.reading import read_rig_files
+from stereo_depth_ros.camera_files.values import rigid
 from stereo_depth_ros.core.errors import BagError, CalibrationError
+from stereo_depth_ros.core.plain_values import entry
+from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.text_files import read_text
 from stereo_depth_ros.datasets.dataset import DatasetFrame
 from stereo_depth_ros.datasets.image_files import check_sizes, framed, read_frame
 
-__all__ = ["EurocDataset"]
+__all__ = ["EurocDataset", "body_from_sensor"]
 
 _COPY = "copy it again"
 _MOST_BYTES = 2**26  # of data.csv
@@ -32,6 +36,9 @@ class EurocDataset:
     Args:
         folder: the folder that holds ``mav0``, or ``mav0`` itself.
 
+    Attributes:
+        root: the folder ``mav0``.
+
     Raises:
         BagError: another layout, or a file that cannot be read.
         CalibrationError: a calibration for another image size.
@@ -40,7 +47,7 @@ class EurocDataset:
     has_stamps = True
 
     def __init__(self, folder: Path) -> None:
-        root = folder / "mav0" if (folder / "mav0").is_dir() else folder
+        self.root = root = folder / "mav0" if (folder / "mav0").is_dir() else folder
         if missing := [name for name in ("cam0", "cam1") if not (root / name / "data.csv").exists()]:
             raise BagError(
                 f"is not an EuRoC sequence, it has no {', '.join(f'mav0/{name}/data.csv' for name in missing)}",
@@ -61,6 +68,14 @@ class EurocDataset:
         check_sizes(self.rig, self._pairs[0][1])
         indices = [root / side / name for side in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml")]
         self.files = [*indices, *left.values(), *right.values()]
+
+    def body_from_left(self) -> Pose:
+        """Pose of the raw left camera in the body, T_BS of its sensor.yaml.
+
+        Raises:
+            BagError: a file that is not a sensor.yaml.
+        """
+        return body_from_sensor(self.root / "cam0" / "sensor.yaml")
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -102,3 +117,17 @@ def _rig(left: Path, right: Path) -> StereoRig:
             limit=error.limit,
             remedy=_COPY,
         ) from error
+
+
+def body_from_sensor(path: Path) -> Pose:
+    """Pose of a sensor in the body, T_BS of its sensor.yaml, of any kind of sensor.
+
+    Raises:
+        BagError: a file that is not one.
+    """
+    try:
+        (document,) = read_documents(path)
+        return Pose.from_matrix(rigid(entry(document.values, "T_BS"), "T_BS"))
+    except (CalibrationError, ValueError) as error:
+        problem = error.problem if isinstance(error, CalibrationError) else str(error)
+        raise BagError(f"is not a sensor.yaml ({problem})", subject=str(path), remedy=_COPY) from error

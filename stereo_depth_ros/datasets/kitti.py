@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stereo_depth_ros.camera_files.kitti import parse_calibration, rig_from_calibration
+from stereo_depth_ros.camera_files.kitti import parse_calibration, reference_from_camera, rig_from_calibration
 from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.core.text_files import read_bytes, read_text
 from stereo_depth_ros.core.types import F32, F64
@@ -26,7 +26,7 @@ from stereo_depth_ros.datasets.image_files import (
 )
 from stereo_depth_ros.datasets.kitti_stamps import frame_numbers, read_stamps
 
-__all__ = ["KittiDataset", "read_calibration", "read_truth"]
+__all__ = ["KITTI_FOLDERS", "KittiDataset", "read_calibration", "read_truth"]
 
 # folders of left and right images, and the numbers of the two cameras
 _LAYOUTS = (
@@ -36,6 +36,7 @@ _LAYOUTS = (
     ("image_00/data", "image_01/data", 0, 1),
     ("image_02/data", "image_03/data", 2, 3),
 )
+KITTI_FOLDERS = tuple(layout[0] for layout in _LAYOUTS)
 _COPY = "copy it again"
 _TRUTH_FOLDERS = ("disp_occ_0", "disp_occ")
 
@@ -49,6 +50,11 @@ class KittiDataset:
     Args:
         folder: the folder that holds ``image_0`` and ``image_1`` (or ``image_2``/``image_3``, ``image_l``/``image_r``,
             ``image_00/data``/``image_01/data``).
+
+    Attributes:
+        numbers: frame number of each pair.
+        image_numbers: frame number of each left image, with and without a partner, in order.
+        reference_from_left: pose of the rectified left camera in the frame of camera 0.
 
     Raises:
         BagError: unknown layout, no calibration, a name without frame number, or a file that cannot be read.
@@ -74,6 +80,7 @@ class KittiDataset:
         self.skipped = len(names) - len(kept)
         self._pairs = [(folder / left / name, folder / right / name) for name in kept]
         self._stamps = read_stamps(folder, Path(left).parent, numbers, names)
+        self.numbers, self.image_numbers = [numbers[name] for name in kept], [*numbers.values()]
         truths = [folder / truth / name for truth in _TRUTH_FOLDERS for name in kept]
         times = [folder / "times.txt", folder / Path(left).parent / "timestamps.txt"]
         self.files = [*calibrations.values(), *times, *(path for pair in self._pairs for path in pair), *truths]
@@ -82,6 +89,7 @@ class KittiDataset:
         calibration = read_calibration(path)
         try:
             self.rig = rig_from_calibration(calibration, (cameras[0], cameras[1]), (width, height))
+            self.reference_from_left = reference_from_camera(calibration, cameras[0])
         except (BagError, CalibrationError) as error:
             raise error.about(path) from error
 

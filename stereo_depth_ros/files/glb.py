@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Binary glTF files (.glb, glTF 2.0 of the Khronos Group) of a mesh with normals and a texture."""
+"""Binary glTF files (.glb, glTF 2.0 of the Khronos Group) of a mesh with normals, and a texture or colors."""
 
 from __future__ import annotations
 
 import json
+import math
 import struct
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,10 @@ from stereo_depth_ros.files.output import write_file
 
 __all__ = ["write_glb"]
 
-_FLOAT, _UINT32 = 5126, 5125  # component types
+_FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125  # component types
 _VERTICES, _INDICES = 34962, 34963  # targets of buffer views
+# Turns about x into the axes of glTF, as quaternions
+_OPTICAL, _Z_UP = [1.0, 0.0, 0.0, 0.0], [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
 
 
 def write_glb(
@@ -28,12 +31,14 @@ def write_glb(
     points_m: F32,
     triangles: npt.NDArray[np.int32],
     normals: F32,
-    texture_coordinates: F32,
-    texture: U8,
+    texture_coordinates: F32 | None = None,
+    texture: U8 | None = None,
     *,
+    colors: U8 | None = None,
+    z_up: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Write a mesh. A node turns it from an optical frame (y down, z forward) into the axes of glTF (y up, z backward).
+    """Write a mesh. A node turns it into the axes of glTF (y up, z backward).
 
     Args:
         path: the file; missing folders are created.
@@ -42,6 +47,8 @@ def write_glb(
         normals: float32 (N, 3), unit vectors.
         texture_coordinates: float32 (N, 2), 0..1 from the upper left corner of the texture.
         texture: uint8 (H, W) gray or (H, W, 3) RGB, stored as PNG.
+        colors: uint8 (N, 3) RGB, of vertices without a texture; stored as linear light, which the format demands.
+        z_up: the axes are those of a robot (x forward, y left, z up), not an optical frame (y down, z forward).
         overwrite: replace a file that is there.
 
     Raises:
@@ -54,7 +61,15 @@ def write_glb(
     }
     chunks = _Chunks()
     if len(triangles):
-        document |= _surface(chunks, points_m, triangles, normals, texture_coordinates, texture)
+        attributes = {"POSITION": _vertices(chunks, points_m), "NORMAL": _vertices(chunks, normals)}
+        if texture_coordinates is not None:
+            attributes["TEXCOORD_0"] = _vertices(chunks, texture_coordinates)
+        if colors is not None:
+            attributes["COLOR_0"] = _colors(chunks, colors)
+        document |= _surface(chunks, attributes, triangles, _Z_UP if z_up else _OPTICAL)
+        if texture is not None:
+            document |= _texture(chunks, document["materials"][0]["pbrMetallicRoughness"], texture)
+        document["buffers"] = [{"byteLength": chunks.size}]
     else:
         del document["scenes"][0]["nodes"]
     text = json.dumps(document, separators=(",", ":")).encode()
@@ -67,43 +82,49 @@ def write_glb(
 
 
 def _surface(
-    chunks: _Chunks,
-    points_m: F32,
-    triangles: npt.NDArray[np.int32],
-    normals: F32,
-    texture_coordinates: F32,
-    texture: U8,
+    chunks: _Chunks, attributes: dict[str, dict[str, Any]], triangles: npt.NDArray[np.int32], rotation: list[float]
 ) -> dict[str, Any]:
-    """The parts of the document that describe the mesh; its arrays are added to the chunks."""
-    count = len(points_m)
-    pixels = texture if texture.ndim == 2 else cv2.cvtColor(texture, cv2.COLOR_RGB2BGR)
-    image = cv2.imencode(".png", pixels)[1].tobytes()
-    low, high = (getattr(points_m, name)(axis=0).astype(float).tolist() for name in ("min", "max"))
-
-    def vertices(array: F32, kind: str, **more: Any) -> dict[str, Any]:
-        view = chunks.add(np.ascontiguousarray(array, "<f4").tobytes(), target=_VERTICES)
-        return {"bufferView": view, "componentType": _FLOAT, "count": count, "type": kind, **more}
-
-    accessors = [
-        vertices(points_m, "VEC3", min=low, max=high),
-        vertices(normals, "VEC3"),
-        vertices(texture_coordinates, "VEC2"),
-    ]
+    """The parts of the document that describe the mesh, of the accessors of its attributes."""
     view = chunks.add(triangles.astype("<u4").tobytes(), target=_INDICES)
-    accessors.append({"bufferView": view, "componentType": _UINT32, "count": triangles.size, "type": "SCALAR"})
-    shown = {"baseColorTexture": {"index": 0}, "metallicFactor": 0.0, "roughnessFactor": 1.0}
-    attributes = {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}
+    indices = {"bufferView": view, "componentType": _UINT32, "count": triangles.size, "type": "SCALAR"}
+    numbers = {name: number for number, name in enumerate(attributes)}
     return {
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": [1.0, 0.0, 0.0, 0.0]}],  # half a turn about x
-        "meshes": [{"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}],
-        "materials": [{"pbrMetallicRoughness": shown, "doubleSided": True}],
+        "nodes": [{"mesh": 0, "rotation": rotation}],
+        "meshes": [{"primitives": [{"attributes": numbers, "indices": len(numbers), "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}],
+        "accessors": [*attributes.values(), indices],
+        "bufferViews": chunks.views,
+    }
+
+
+def _vertices(chunks: _Chunks, array: F32) -> dict[str, Any]:
+    """The accessor of an array with a row for each vertex; that of positions needs their limits."""
+    view = chunks.add(np.ascontiguousarray(array, "<f4").tobytes(), target=_VERTICES)
+    accessor = {"bufferView": view, "componentType": _FLOAT, "count": len(array), "type": f"VEC{array.shape[1]}"}
+    low, high = (getattr(array, name)(axis=0).astype(float).tolist() for name in ("min", "max"))
+    return accessor if view else {**accessor, "min": low, "max": high}
+
+
+def _colors(chunks: _Chunks, colors: U8) -> dict[str, Any]:
+    """The accessor of colors: linear light in 16 bits, with an alpha, so that each begins at a multiple of 4 bytes."""
+    levels = np.arange(256) / 255
+    linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)  # of sRGB, IEC 61966-2-1
+    values = np.full((len(colors), 4), 65535, "<u2")
+    values[:, :3] = np.rint(65535 * linear).astype("<u2")[colors]
+    view = chunks.add(values.tobytes(), target=_VERTICES)
+    return {"bufferView": view, "componentType": _UINT16, "normalized": True, "count": len(colors), "type": "VEC4"}
+
+
+def _texture(chunks: _Chunks, material: dict[str, Any], texture: U8) -> dict[str, Any]:
+    """The parts of the document that describe a texture, which the material gets."""
+    pixels = texture if texture.ndim == 2 else cv2.cvtColor(texture, cv2.COLOR_RGB2BGR)
+    image = cv2.imencode(".png", pixels)[1].tobytes()
+    material["baseColorTexture"] = {"index": 0}
+    return {
         "textures": [{"source": 0, "sampler": 0}],
         "samplers": [{"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}],  # linear, clamped
         "images": [{"bufferView": chunks.add(image), "mimeType": "image/png"}],
-        "accessors": accessors,
-        "bufferViews": chunks.views,
-        "buffers": [{"byteLength": chunks.size}],
     }
 
 

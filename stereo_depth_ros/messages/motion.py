@@ -1,19 +1,29 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motion messages to numpy: JointState and PoseStamped, for rclpy and rosbags."""
+"""Motion messages to numpy: joints, poses, odometry and transforms, for rclpy and rosbags."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from stereo_depth_ros.core.errors import MessageError
+from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.messages.types import stamp_ns
 
-__all__ = ["joint_value", "pose_numbers", "pose_value"]
+__all__ = [
+    "POSE_TYPES",
+    "TREE_TYPE",
+    "StampedPose",
+    "joint_value",
+    "pose_numbers",
+    "pose_value",
+    "stamped_pose",
+    "tree_poses",
+]
 
 
 def joint_value(msg: Any, joint: str, topic: str = "") -> tuple[int, F64]:
@@ -68,6 +78,57 @@ def pose_numbers(position: Any, orientation: Any, topic: str = "") -> F64:
             remedy="publish a valid orientation",
         )
     return value
+
+
+POSE_TYPES = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+)
+TREE_TYPE = "tf2_msgs/msg/TFMessage"
+
+
+class StampedPose(NamedTuple):
+    """The pose of a frame in its parent at a time.
+
+    Attributes:
+        stamp_ns: integer nanoseconds.
+        parent, child: names of the frames; ``child`` is empty where the message does not tell it.
+        pose: from the child to the parent.
+    """
+
+    stamp_ns: int
+    parent: str
+    child: str
+    pose: Pose
+
+
+def stamped_pose(msg: Any, msgtype: str, topic: str = "") -> StampedPose:
+    """The pose of a message of one of POSE_TYPES.
+
+    Raises:
+        MessageError: values that are not finite, or a quaternion that is not of length 1.
+    """
+    if msgtype == "geometry_msgs/msg/TransformStamped":
+        p, q = msg.transform.translation, msg.transform.rotation
+    else:
+        inner = msg.pose if msgtype == "geometry_msgs/msg/PoseStamped" else msg.pose.pose
+        p, q = inner.position, inner.orientation
+    value = pose_numbers(p, q, topic)
+    pose = Pose.from_quaternion(value[3:], value[:3])
+    return StampedPose(
+        stamp_ns(msg.header, topic), str(msg.header.frame_id), str(getattr(msg, "child_frame_id", "")), pose
+    )
+
+
+def tree_poses(msg: Any, topic: str = "") -> list[StampedPose]:
+    """The poses of a tf2_msgs/TFMessage.
+
+    Raises:
+        MessageError: as of :func:`stamped_pose`.
+    """
+    return [stamped_pose(transform, "geometry_msgs/msg/TransformStamped", topic) for transform in msg.transforms]
 
 
 def _finite(value: F64, topic: str) -> F64:

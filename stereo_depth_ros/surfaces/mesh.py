@@ -17,7 +17,7 @@ from stereo_depth_ros.core.types import F32, F64, U8
 from stereo_depth_ros.surfaces.mesh_kernels import choose_triangles, fill_triangles, fit_planes, join, mesh_normals
 from stereo_depth_ros.surfaces.range_image import RangeImage
 
-__all__ = ["Mesh", "mesh_of", "normal_image"]
+__all__ = ["ImageMesh", "Mesh", "joined_neighbors", "mesh_of", "normal_image", "window_normals"]
 
 _EDGE_SIGMAS = 3.0
 _MAX_ANGLE_DEG = 88.0
@@ -26,33 +26,41 @@ _ROUNDING = np.float32(2.0**-23)  # of w and of the depth, relative; counts wher
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A surface of triangles, in the left rectified optical frame: x right, y down, z forward.
+    """A surface of triangles.
 
     Attributes:
         points_m: float32 (N, 3), vertices, meters; each is in a triangle.
-        triangles: int32 (M, 3), vertices of each triangle, counter-clockwise seen from the camera.
-        normals: float32 (N, 3), unit vectors that point to the side of the camera.
-        texture_px: float32 (N, 2), x, y of each vertex in ``texture``, px; (0, 0) is the center of the first pixel.
-        texture: uint8 (H, W) gray or (H, W, 3) RGB, the left rectified image.
-        alone: measured pixels that are in no triangle.
+        triangles: int32 (M, 3), vertices of each triangle, counter-clockwise seen from where it was seen.
+        normals: float32 (N, 3), unit vectors that point to the side from which the surface was seen.
+        colors: uint8 (N, 3) RGB, the color of each vertex.
+        sigma_m: float32 (N,), standard deviation of each vertex, meters; NaN where it was not measured.
     """
 
     points_m: F32
     triangles: npt.NDArray[np.int32]
     normals: F32
+    colors: U8
+    sigma_m: F32
+
+
+@dataclass(frozen=True, eq=False)
+class ImageMesh(Mesh):
+    """That of a range image, in the left rectified optical frame: x right, y down, z forward.
+
+    Attributes:
+        texture_px: float32 (N, 2), x, y of each vertex in ``texture``, px; (0, 0) is the center of the first pixel.
+        texture: uint8 (H, W) gray or (H, W, 3) RGB, the left rectified image.
+        alone: measured pixels that are in no triangle.
+    """
+
     texture_px: F32
     texture: U8
     alone: int
 
-    @property
-    def colors(self) -> U8:
-        """The color of each vertex, uint8 (N, 3) RGB."""
-        x, y = self.texture_px.T.astype(np.intp)
-        found = self.texture[y, x]
-        return np.repeat(found[:, None], 3, axis=1) if found.ndim == 1 else found
 
-
-def mesh_of(image: RangeImage, *, edge_sigmas: float = _EDGE_SIGMAS, max_angle_deg: float = _MAX_ANGLE_DEG) -> Mesh:
+def mesh_of(
+    image: RangeImage, *, edge_sigmas: float = _EDGE_SIGMAS, max_angle_deg: float = _MAX_ANGLE_DEG
+) -> ImageMesh:
     """The surface of a range image: two triangles for four pixels, none across a depth step.
 
     Two neighbors are joined where their inverse depths w = 1 / Z, which are linear in the image on a plane, agree: the
@@ -69,7 +77,7 @@ def mesh_of(image: RangeImage, *, edge_sigmas: float = _EDGE_SIGMAS, max_angle_d
     Raises:
         ConfigError: a parameter out of range.
     """
-    _, right, down = _joined(image, edge_sigmas, max_angle_deg)
+    _, right, down = joined_neighbors(image, edge_sigmas, max_angle_deg)
     height, width = right.shape
     chosen, counts = np.zeros((max(height - 1, 0), max(width - 1, 0)), np.uint8), np.zeros(max(height - 1, 0), np.int64)
     normals = np.empty((height, width, 3), np.float32)
@@ -88,7 +96,7 @@ def mesh_of(image: RangeImage, *, edge_sigmas: float = _EDGE_SIGMAS, max_angle_d
     points = np.stack((rays[0][x] * depth, rays[1][y] * depth, depth), axis=1).astype(np.float32)
     alone = int(np.count_nonzero(image.measured)) - len(x)
     pixels = np.stack((x, y), axis=1).astype(np.float32)
-    return Mesh(points, triangles, normals[used], pixels, image.color, alone)
+    return ImageMesh(points, triangles, normals[used], image.rgb[used], image.sigma_m[used], pixels, image.color, alone)
 
 
 def normal_image(
@@ -116,14 +124,29 @@ def normal_image(
     """
     if not 1 <= radius_px <= 15:
         raise _out_of_range("radius_px", radius_px, "1..15", (1, 15))
-    w, right, down = _joined(image, edge_sigmas, max_angle_deg)
+    return window_normals(image, joined_neighbors(image, edge_sigmas, max_angle_deg), radius_px)
+
+
+def window_normals(image: RangeImage, joined: tuple[F32, U8, U8], radius_px: int) -> F32:
+    """As :func:`normal_image`, of pixels that are joined already: the result of :func:`joined_neighbors`."""
+    w, right, down = joined
     normals = np.empty((*w.shape, 3), np.float32)
     run_bands(fit_planes, len(w), w, *image.rays, right, down, int(radius_px), normals)
     return normals
 
 
-def _joined(image: RangeImage, edge_sigmas: float, max_angle_deg: float) -> tuple[F32, U8, U8]:
-    """Inverse depth, and whether each pixel is joined with its right and its lower neighbor."""
+def joined_neighbors(
+    image: RangeImage, edge_sigmas: float = _EDGE_SIGMAS, max_angle_deg: float = _MAX_ANGLE_DEG
+) -> tuple[F32, U8, U8]:
+    """Inverse depth, and which neighbors are joined; the arguments are those of :func:`mesh_of`.
+
+    Returns:
+        float32 (H, W), 1 / m, NaN where not measured, and twice uint8 (H, W): whether a pixel is joined with its right
+        and its lower neighbor.
+
+    Raises:
+        ConfigError: a parameter out of range.
+    """
     if not 0 < edge_sigmas < math.inf:
         raise _out_of_range("edge_sigmas", edge_sigmas, "0 (excluded) to infinity (excluded)", (0, math.inf))
     if not 0 <= max_angle_deg <= 90:

@@ -85,6 +85,11 @@ class RangeImage:
         x, y = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
         return (x - t.cx_px) / t.f_px, (y - t.cy_px) / t.fy_px
 
+    @property
+    def rgb(self) -> U8:
+        """The image as uint8 (H, W, 3) RGB, also where it is gray."""
+        return np.repeat(self.color[:, :, None], 3, axis=2) if self.color.ndim == 2 else self.color
+
     def points(self) -> F32:
         """Points in the left rectified optical frame, float32 (H, W, 3), meters, NaN where not measured."""
         x, y = self.rays

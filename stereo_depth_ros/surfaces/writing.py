@@ -21,11 +21,21 @@ from stereo_depth_ros.files.las import check_las, write_las
 from stereo_depth_ros.files.output import write_file
 from stereo_depth_ros.files.pcd import write_pcd
 from stereo_depth_ros.files.ply import write_ply
+from stereo_depth_ros.files.xyz import write_xyz
 from stereo_depth_ros.stages.depth import millimeters
-from stereo_depth_ros.surfaces.mesh import Mesh, mesh_of, normal_image
+from stereo_depth_ros.surfaces.mesh import ImageMesh, Mesh, mesh_of, normal_image
 from stereo_depth_ros.surfaces.range_image import RangeImage
 
-__all__ = ["POINT_ENDS", "SURFACE_ENDS", "WrittenFile", "check_ending", "write_points", "write_surface"]
+__all__ = [
+    "MESH_ENDS",
+    "POINT_ENDS",
+    "SURFACE_ENDS",
+    "WrittenFile",
+    "check_ending",
+    "write_mesh",
+    "write_points",
+    "write_surface",
+]
 
 
 @dataclass(frozen=True)
@@ -88,6 +98,42 @@ def write_surface(path: Path, image: RangeImage, *, overwrite: bool = False) -> 
     return _WRITERS[check_ending(path)](path, image, overwrite)
 
 
+def write_mesh(path: Path, mesh: Mesh, *, z_up: bool = False, overwrite: bool = False) -> WrittenFile:
+    """Write a mesh that is not that of one image, or its vertices as points.
+
+    - .ply, .glb: mesh with normals and colors.
+    - .cloud.ply, .pcd, .las, .laz: points with colors, normals (but .las, .laz) and standard deviations (``sigma``, m).
+    - .xyz: text, x y z red green blue in each line.
+
+    Args:
+        path: the file; missing folders are created.
+        mesh: the mesh.
+        z_up: its axes are x forward, y left, z up, and not those of an optical frame; .glb has axes of its own.
+        overwrite: replace a file that is there.
+
+    Raises:
+        OutputError: as of :func:`write_surface`.
+    """
+    end = check_ending(path, MESH_ENDS)
+    points, normals = mesh.points_m, dict(zip(("nx", "ny", "nz"), mesh.normals.T, strict=True))
+    if end == ".glb":
+        write_glb(path, points, mesh.triangles, mesh.normals, colors=mesh.colors, z_up=z_up, overwrite=overwrite)
+    elif end == ".ply":
+        values = {**normals, **_named_colors(mesh.colors)}
+        write_ply(path, points, values, triangles=mesh.triangles, overwrite=overwrite)
+    elif end == ".cloud.ply":
+        values = {**normals, "sigma": mesh.sigma_m, **_named_colors(mesh.colors)}
+        write_ply(path, points, values, overwrite=overwrite)
+    elif end == ".pcd":
+        values = {f"normal_{axis}": normals[f"n{axis}"] for axis in "xyz"} | {"sigma": mesh.sigma_m}
+        write_pcd(path, points, values, rgb=mesh.colors, overwrite=overwrite)
+    elif end == ".xyz":
+        write_xyz(path, points, mesh.colors, overwrite=overwrite)
+    else:
+        write_las(path, points, {"sigma": mesh.sigma_m}, rgb=mesh.colors, overwrite=overwrite)
+    return WrittenFile(path, len(points), len(mesh.triangles) if end in (".glb", ".ply") else None)
+
+
 def write_points(
     path: Path, points_m: F64, values: Mapping[str, npt.NDArray[Any]], *, overwrite: bool = False
 ) -> WrittenFile:
@@ -145,7 +191,7 @@ def _mesh_glb(path: Path, image: RangeImage, overwrite: bool) -> WrittenFile:
     return _of_mesh(path, mesh)
 
 
-def _of_mesh(path: Path, mesh: Mesh) -> WrittenFile:
+def _of_mesh(path: Path, mesh: ImageMesh) -> WrittenFile:
     return WrittenFile(path, len(mesh.points_m), len(mesh.triangles), mesh.alone, "they are in no triangle")
 
 
@@ -163,7 +209,7 @@ def _cloud_las(path: Path, image: RangeImage, overwrite: bool) -> WrittenFile:
 
 def _cloud_pcd(path: Path, image: RangeImage, overwrite: bool) -> WrittenFile:
     sigma = np.where(image.measured, image.sigma_m, np.float32(np.nan))
-    write_pcd(path, image.points(), {"sigma": sigma}, rgb=_rgb(image.color), overwrite=overwrite)
+    write_pcd(path, image.points(), {"sigma": sigma}, rgb=image.rgb, overwrite=overwrite)
     return WrittenFile(path, int(np.count_nonzero(image.measured)))
 
 
@@ -195,11 +241,7 @@ def _arrays_npz(path: Path, image: RangeImage, overwrite: bool) -> WrittenFile:
 def _cloud(image: RangeImage) -> tuple[F32, F32, U8]:
     """Points (N, 3), standard deviations (N,) and colors (N, 3) of the measured pixels, row by row."""
     known = image.measured
-    return image.points()[known], image.sigma_m[known], _rgb(image.color)[known]
-
-
-def _rgb(color: U8) -> U8:
-    return np.repeat(color[:, :, None], 3, axis=2) if color.ndim == 2 else color
+    return image.points()[known], image.sigma_m[known], image.rgb[known]
 
 
 def _named_colors(colors: U8) -> dict[str, npt.NDArray[Any]]:
@@ -219,4 +261,5 @@ _WRITERS: Mapping[str, _Writer] = {
     ".npz": _arrays_npz,
 }
 SURFACE_ENDS = tuple(_WRITERS)
+MESH_ENDS = (".cloud.ply", ".ply", ".glb", ".pcd", ".las", ".laz", ".xyz")
 POINT_ENDS = (".ply", ".pcd", ".las", ".laz")

@@ -1,0 +1,316 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`stereo-depth fuse`: fuses the depth of a bag or dataset, with poses of the camera, to one surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.poses import pose_topics, read_bag_poses
+from stereo_depth_ros.bags.sources import bag_files, is_bag
+from stereo_depth_ros.camera_files.urls import camera_info_paths
+from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
+from stereo_depth_ros.cli.export import add_files
+from stereo_depth_ros.cli.given import given_parameters, refuse_ignored, require_png
+from stereo_depth_ros.cli.options import (
+    Duration,
+    Json,
+    Left,
+    Matcher,
+    Overwrite,
+    Params,
+    ParamsFile,
+    Right,
+    SideBySide,
+    Start,
+    new_app,
+)
+from stereo_depth_ros.cli.output import (
+    EXIT_INCOMPLETE,
+    parameter_files,
+    prepare_kernels,
+    progress_bar,
+    show,
+    tell,
+    warn,
+)
+from stereo_depth_ros.cli.params_file import read_parameters
+from stereo_depth_ros.cli.tables import TextTable, facts_table
+from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.config.values import pipeline_config
+from stereo_depth_ros.core.errors import ConfigError, TopicError
+from stereo_depth_ros.datasets.posed import open_posed
+from stereo_depth_ros.files.output import check_outputs
+from stereo_depth_ros.messages.motion import TREE_TYPE
+from stereo_depth_ros.offline.camera_poses import CameraPoses, poses_of_file, poses_of_topic
+from stereo_depth_ros.offline.fuse import FuseReport, fuse_sequence
+from stereo_depth_ros.offline.sequence import BagSequence, DatasetSequence, Sequence
+from stereo_depth_ros.plots.drawing import save_png
+from stereo_depth_ros.plots.fused import fused_plot
+from stereo_depth_ros.surfaces.volume import FusedSurface, SurfaceVolume
+from stereo_depth_ros.surfaces.writing import MESH_ENDS, WrittenFile, check_ending, write_mesh
+
+__all__ = ["app"]
+
+app = new_app()
+
+_STAGES = ("pairing", "camera_info", "matching", "rectification")
+_OF_BAGS = ("start", "duration", "left", "right", "world_frame")
+
+
+@app.command(cls=CommandWithCameraInfo)
+def fuse(
+    context: typer.Context,
+    place: Annotated[
+        Path,
+        typer.Argument(
+            metavar="BAG|DIR",
+            help="Read this bag, a sequence of KITTI or EuRoC, or a folder of images and calibration.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Write a mesh (.ply, .glb) or a cloud (.cloud.ply, .pcd, .las, .laz, .xyz).",
+        ),
+    ],
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|TOPIC",
+            help="Read the poses from this file (KITTI, EuRoC or TUM) or topic (odometry, poses, transforms); by "
+            "default from the file of the sequence, or from the only such topic.",
+        ),
+    ] = None,
+    pose_frame: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Take the poses as those of camera (the left one), rectified, body, or a frame of the bag.",
+        ),
+    ] = None,
+    world_frame: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Fuse in this frame of a topic of transforms; their root by default."),
+    ] = None,
+    max_gap: Annotated[
+        float,
+        typer.Option(min=0, metavar="SECONDS", help="Interpolate between two poses that are not farther apart."),
+    ] = 0.5,
+    voxel: Annotated[float, typer.Option(metavar="METERS", help="Set the distance of the grid points.")] = 0.02,
+    max_depth: Annotated[
+        float, typer.Option(min=0, metavar="METERS", help="Leave out depth beyond it; 0 leaves out nothing.")
+    ] = 0.0,
+    every: Annotated[int, typer.Option(min=1, metavar="N", help="Use one of N pairs.")] = 1,
+    min_piece: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Remove connected pieces of fewer triangles.")
+    ] = 100,
+    fill: Annotated[
+        float,
+        typer.Option(min=0, metavar="METERS", help="Fill holes up to this diameter that no ray has crossed."),
+    ] = 0.0,
+    memory: Annotated[int, typer.Option(min=1, metavar="MIB", help="Bound the memory of the volume.")] = 2048,
+    camera_info: CameraInfo = None,
+    matcher: Matcher = None,
+    param: Params = None,
+    params_file: ParamsFile = None,
+    start: Start = 0.0,
+    duration: Duration = 0.0,
+    left: Left = None,
+    right: Right = None,
+    side_by_side: SideBySide = False,
+    preview: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Write views of the surface from three sides as a PNG.")
+    ] = None,
+    json_file: Json = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Fuse the depth of all pairs of a bag or dataset, with poses of the camera, to one surface.
+
+    The surface is that of a volume of signed distances, on a grid of voxels near what was measured. Poses
+    between two stamps are interpolated; a pair without a pose is left out and counted. Depth counts by its standard
+    deviation. What a ray has crossed is empty, so that points between two surfaces disappear.
+
+    Exit codes are 0 for success, 1 for an error, 2 for wrong usage and 3 where some pairs were skipped.
+
+    \b
+    Examples:
+      stereo-depth fuse sequences/07 -o street.ply --voxel 0.1 --max-depth 25
+      stereo-depth fuse V1_01_easy -o room.glb --every 5 --fill 0.1
+      stereo-depth fuse drive.mcap -o drive.glb --poses /odom --voxel 0.05 --preview drive.png
+      stereo-depth fuse drive.mcap -o drive.las --poses trajectory.txt --pose-frame camera
+    """
+    of_bag = is_bag(place) or place.is_file()
+    if not of_bag:
+        refuse_ignored(context, _OF_BAGS, "with a folder", "leave it out")
+    check_ending(output, MESH_ENDS)
+    require_png("--preview", preview)
+    file = read_parameters(params_file)
+    given = given_parameters(param or (), matcher, file=file, stages=_STAGES, names=("disparity_sigma_px",))
+    values = {**file, **given, **camera_info_values(camera_info if of_bag else None, given)}
+    config, volume = pipeline_config(values), SurfaceVolume(voxel, most_bytes=memory * 2**20)
+    max_gap_ns = round(1e9 * max_gap)
+    if of_bag:
+        urls = config.camera_info
+        files = camera_info_paths(urls.left_camera_info_url, urls.right_camera_info_url)
+        known = _poses_of_bag(place, poses, max_gap_ns, pose_frame, world_frame)
+        _check(output, preview, json_file, overwrite, [*bag_files(place), *known.files], params_file, values)
+        prepare_kernels(config.matching)
+        selection = BagSelection(place, left, right, start, duration, side_by_side, files)
+        sequence: Sequence = BagSequence(selection, config)
+    else:
+        posed = open_posed(place, camera_info or (), side_by_side=side_by_side)
+        chosen = posed.poses if poses is None else Path(poses)
+        if chosen is None:
+            raise ConfigError("has no file of poses of its own", subject=str(place), remedy="give one by --poses FILE")
+        known = poses_of_file(chosen, max_gap_ns, pose_frame, posed)
+        sequence = DatasetSequence(posed, config)
+        _check(output, preview, json_file, overwrite, [*sequence.files, *known.files], params_file, values)
+        prepare_kernels(config.matching)
+    with progress_bar("fusing") as progress:
+        report = fuse_sequence(
+            sequence, known, volume, every=every, max_depth_m=max_depth or math.inf, progress=progress
+        )
+    surface = volume.surface(fewest_triangles=min_piece, largest_hole_m=fill)
+    _finish(report, surface, volume, known, (output, preview, json_file), overwrite, config)
+
+
+def _check(
+    output: Path,
+    preview: Path | None,
+    json_file: Path | None,
+    overwrite: bool,
+    inputs: list[Path],
+    params_file: Path | None,
+    values: dict[str, Any],
+) -> None:
+    outputs = [output, *([preview] if preview is not None else [])]
+    inputs = [*inputs, *parameter_files(params_file, values)]
+    check_outputs(outputs, inputs, reports=[json_file], overwrite=overwrite)
+
+
+def _poses_of_bag(
+    bag: Path, poses: str | None, max_gap_ns: int, pose_frame: str | None, world_frame: str | None
+) -> CameraPoses:
+    """The poses of a topic, or of a file; without a name, of the only topic of poses.
+
+    Raises:
+        TopicError: several topics, or none.
+    """
+    found = pose_topics(bag)
+    if poses is not None and poses not in found and Path(poses).exists():
+        if world_frame is not None:
+            raise ConfigError(
+                "world_frame has no effect: the poses are those of a file",
+                value=world_frame,
+                remedy="leave it out",
+                settings=("world_frame",),
+            )
+        return poses_of_file(Path(poses), max_gap_ns, pose_frame)
+    if poses is None:
+        single = [name for name, msgtype in found.items() if msgtype != TREE_TYPE] or [*found]
+        if len(single) != 1:
+            raise TopicError(
+                f"{len(single)} topics hold poses: {', '.join(single)}" if single else "no topic holds poses",
+                subject=str(bag),
+                value=single,
+                limit=1,
+                remedy="name one of them, or a file of poses" if single else "give a file of poses",
+                settings=("poses",),
+            )
+        poses = single[0]
+    return poses_of_topic(poses, read_bag_poses(bag, poses, max_gap_ns), pose_frame, world_frame)
+
+
+def _finish(
+    report: FuseReport,
+    surface: FusedSurface,
+    volume: SurfaceVolume,
+    poses: CameraPoses,
+    paths: tuple[Path, Path | None, Path | None],
+    overwrite: bool,
+    config: PipelineConfig,
+) -> None:
+    """Write the files, print the result, and end with exit code 3 where pairs were skipped."""
+    output, preview, json_file = paths
+    written = write_mesh(output, surface.mesh, z_up=report.z_up, overwrite=overwrite)
+    if preview is not None:
+        title = f"{output.name}: {report.fused} pairs, {len(surface.mesh.points_m)} points"
+        save_png(preview, fused_plot(surface.mesh, title, z_up=report.z_up), overwrite=overwrite)
+    show(
+        _tables(report, surface, volume, poses, written, preview),
+        _values(report, surface, volume, poses, written),
+        json_file,
+        overwrite=overwrite,
+    )
+    for text in report.warnings:
+        warn(text)
+    if report.skipped:
+        tell(f"error: {report.skipped} pairs skipped: see the warnings above")
+        raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def _values(
+    report: FuseReport, surface: FusedSurface, volume: SurfaceVolume, poses: CameraPoses, written: WrittenFile
+) -> dict[str, Any]:
+    return report.to_json() | {
+        "poses": poses.text,
+        "voxel_m": volume.voxel_m,
+        "blocks": volume.block_count,
+        "memory_bytes": volume.memory_bytes,
+        "pieces_removed": surface.pieces,
+        "holes_filled": surface.filled,
+        "holes_open": surface.open,
+        "surfaces": [written.to_json()],
+    }
+
+
+def _tables(
+    report: FuseReport,
+    surface: FusedSurface,
+    volume: SurfaceVolume,
+    poses: CameraPoses,
+    written: WrittenFile,
+    preview: Path | None,
+) -> Iterator[TextTable]:
+    facts = facts_table()
+    facts.add_row("pairs fused", f"{report.fused} of {report.pairs}")
+    if report.without_pose:
+        facts.add_row("without pose", str(report.without_pose))
+    if report.skipped:
+        facts.add_row("skipped", str(report.skipped))
+    facts.add_row("poses", poses.text)
+    facts.add_row("way of the camera", f"{report.path_m:.2f} m")
+    left_out = ((report.too_far, "too far"), (report.uncertain, "too uncertain"), (report.alone, "between surfaces"))
+    reasons = ", ".join(f"{count} {why}" for count, why in left_out if count)
+    facts.add_row("pixels fused", f"{report.used}{f'; {reasons}' if reasons else ''}")
+    if not math.isnan(report.apart):
+        facts.add_row("images differ by", f"{report.apart:.2f} widths of the truncation band")
+    facts.add_row(
+        "volume",
+        f"voxels of {volume.voxel_m:g} m, {volume.block_count} blocks, {volume.memory_bytes / 2**20:.0f} MiB",
+    )
+    facts.add_row("time of a fusion", f"{report.integrate_ms:.0f} ms")
+    if surface.pieces:
+        facts.add_row("small pieces removed", f"{surface.pieces}, {surface.piece_triangles} triangles")
+    if surface.filled or surface.open:
+        facts.add_row("holes filled", f"{surface.filled}; {surface.open} stay open, rays have crossed them")
+    if len(surface.mesh.points_m):
+        low, high = np.percentile(surface.mesh.points_m, [0.5, 99.5], axis=0)
+        facts.add_row("size", " x ".join(f"{extent:.2f}" for extent in high - low) + " m, 99 % of the points")
+        sigma_mm = 1e3 * float(np.nanmedian(surface.mesh.sigma_m))
+        facts.add_row("standard deviation", f"median {sigma_mm:.2f} mm, if the errors of the images are independent")
+    add_files(facts, [written])
+    if preview is not None:
+        facts.add_row("preview", str(preview))
+    yield facts

@@ -1,0 +1,212 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pairs of a bag or of a dataset, in order, each computed on demand by the pipeline of its rig."""
+
+from __future__ import annotations
+
+import bisect
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, SerializedPair
+from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.sources import bag_files
+from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.core.bit_depth import BitDepth
+from stereo_depth_ros.core.errors import CameraOrderError, StereoDepthError
+from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
+from stereo_depth_ros.datasets.posed import PosedDataset
+from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
+from stereo_depth_ros.diagnosis.opening import no_pair_error, open_selection
+from stereo_depth_ros.messages.cdr import cdr_stamp_ns
+from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
+
+__all__ = ["BagSequence", "DatasetSequence", "Sequence", "SequencePair"]
+
+
+@dataclass(frozen=True)
+class SequencePair:
+    """A pair that is computed on demand.
+
+    Attributes:
+        number: of its frame, by which files without times have a row for it.
+        stamp_ns: of the left image, integer nanoseconds.
+        read: the images and their rig.
+        compute: its depth; the argument is what ``read`` returned.
+    """
+
+    number: int
+    stamp_ns: int
+    read: Callable[[], tuple[StereoPair, StereoRig]]
+    compute: Callable[[StereoPair, StereoRig], StereoResult]
+
+
+class Sequence(Protocol):
+    """Pairs in order; the length is about as many as there are at most.
+
+    Attributes:
+        files: all files that are read.
+        warnings: a sentence each; final when all pairs have been read.
+        fault: the first one that the first pairs of a rig show; None where they show none.
+    """
+
+    @property
+    def files(self) -> list[Path]: ...
+
+    @property
+    def warnings(self) -> list[str]: ...
+
+    @property
+    def fault(self) -> StereoDepthError | None: ...
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[SequencePair]: ...
+
+
+class _Pipelines:
+    """The pipeline of a rig, made anew where the rig changes; the first pairs of each rig are examined."""
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._config = config
+        self._depth = BitDepth()
+        self._pipeline: StereoPipeline | None = None
+        self._first: FirstPairs | None = None
+        self.fault: StereoDepthError | None = None
+
+    def compute(self, pair: StereoPair, rig: StereoRig) -> StereoResult:
+        """Depth of a pair.
+
+        Raises:
+            CameraOrderError: the cameras are swapped.
+        """
+        if self._pipeline is None or self._first is None or self._pipeline.rig is not rig:
+            self.finish()
+            self._pipeline = StereoPipeline(self._config, rig, self._depth)
+            self._first = FirstPairs(rig, self._pipeline.shown)
+        result = self._pipeline.process(pair)
+        found = self._first.look(result.pair, result.rectified.left, result.rectified.right, result.disparity)
+        self.fault = self.fault or found
+        return result
+
+    def finish(self) -> None:
+        """No more pair of this rig comes."""
+        if self._first is not None:
+            self.fault = self.fault or self._first.finish()
+
+
+class BagSequence:
+    """The pairs of a bag, see :class:`Sequence`; frames are numbered by all left images of the bag.
+
+    Args:
+        selection: bag, topics and part of it.
+        config: parameters of all stages.
+
+    Raises:
+        BagError, TopicError: no readable stereo bag, or no pair that can be processed.
+    """
+
+    def __init__(self, selection: BagSelection, config: PipelineConfig) -> None:
+        self._config = config
+        self._selection, choice = open_selection(selection, config.pairing)
+        self._pipelines = _Pipelines(config)
+        self._warnings = [choice] if choice else []
+        with BagPairs(self._selection, config.pairing) as pairs:
+            self._count, left = pairs.count, pairs.topics.left_image
+        with BagReader(selection.path) as reader:
+            self._stamps = sorted(cdr_stamp_ns(message.data) for message in reader.messages([left]))
+
+    @property
+    def files(self) -> list[Path]:
+        """All files that are read."""
+        return bag_files(self._selection.path)
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence each."""
+        return self._warnings
+
+    @property
+    def fault(self) -> StereoDepthError | None:
+        """What the first pairs show."""
+        self._pipelines.finish()
+        return self._pipelines.fault
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[SequencePair]:
+        types, depth, is_empty = RosbagsTypes(), BitDepth(), True
+        rigs = PerCalibration(types, lambda rig: rig)
+        with BagPairs(self._selection, self._config.pairing) as pairs:
+            image_type = pairs.topics.image_type
+
+            def reader(pair: SerializedPair) -> Callable[[], tuple[StereoPair, StereoRig]]:
+                def read() -> tuple[StereoPair, StereoRig]:
+                    rig = rigs.of(pair, image_type)
+                    return pair.images(types, image_type, rig, depth), rig
+
+                return read
+
+            for pair in pairs.pairs():
+                is_empty = False
+                frame = bisect.bisect_left(self._stamps, pair.stamp_ns)
+                yield SequencePair(frame, pair.stamp_ns, reader(pair), self._compute)
+            self._warnings += [*([pairs.warning] if pairs.warning else []), *pairs.losses]
+            if is_empty:
+                raise no_pair_error(pairs, self._selection.path, [])
+
+    def _compute(self, pair: StereoPair, rig: StereoRig) -> StereoResult:
+        try:
+            return self._pipelines.compute(pair, rig)
+        except CameraOrderError as error:
+            raise error.about(self._selection.path) from error
+
+
+class DatasetSequence:
+    """The pairs of a dataset, see :class:`Sequence`.
+
+    Args:
+        posed: the dataset.
+        config: parameters of all stages.
+    """
+
+    def __init__(self, posed: PosedDataset, config: PipelineConfig) -> None:
+        self._posed = posed
+        self._pipelines = _Pipelines(config)
+
+    @property
+    def files(self) -> list[Path]:
+        """All files that are read."""
+        return self._posed.dataset.files
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence each."""
+        skipped = int(getattr(self._posed.dataset, "skipped", 0))
+        return [f"{skipped} images have no partner, or pairs another calibration, and are left out"] * bool(skipped)
+
+    @property
+    def fault(self) -> StereoDepthError | None:
+        """What the first pairs show."""
+        self._pipelines.finish()
+        return self._pipelines.fault
+
+    def __len__(self) -> int:
+        return len(self._posed.dataset)
+
+    def __iter__(self) -> Iterator[SequencePair]:
+        rig = self._posed.dataset.rig
+        for number, frame in zip(self._posed.numbers, self._posed.dataset, strict=True):
+            pair = StereoPair(frame.left, frame.right)
+            read = functools.partial(_given, pair, rig)
+            yield SequencePair(number, frame.left.stamp_ns, read, self._pipelines.compute)
+
+
+def _given(pair: StereoPair, rig: StereoRig) -> tuple[StereoPair, StereoRig]:
+    return pair, rig
