@@ -89,8 +89,8 @@ def cloud_points(msg: Any, topic: str = "", sigma_m: float = DEFAULT_SIGMA_M) ->
     ).ravel()
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.stack([records[name].astype(np.float32) for name in "xyz"], axis=1).reshape(-1, 3)
-    finite: npt.NDArray[np.bool_] = np.isfinite(points).all(axis=1)
-    returned: npt.NDArray[np.bool_] = points.any(axis=1)
+    finite = np.asarray(np.isfinite(points).all(axis=1), np.bool_)
+    returned = np.asarray(points.any(axis=1), np.bool_)
     kept = finite & returned
     dropped = {"not finite": _count(~finite), "at the origin": _count(~returned)}
     stamp = stamp_ns(msg.header, topic)

@@ -77,11 +77,11 @@ def project(
 ) -> SparseDisparity:
     """Points as disparities of the left rectified image, d = f B / Z + doffs, each in its nearest pixel.
 
-    Of several points in a pixel the nearest one counts (Catmull 1974, z-buffer). A point is hidden where a nearer one
-    is within the gap between neighbors, along x and y each, and the disparities differ by more than
-    1 px, half a pixel for each pixel between them, and three standard deviations. The gap is the median of a tile of
-    64 x 64 px, at most 32 px. The standard deviation of a disparity is f B / Z^2 times that of the range, the largest
-    that it may be.
+    Of several points in a pixel the nearest one counts (Catmull 1974, z-buffer), the first one of those that differ by
+    noise. A point is hidden where a nearer one is within the gap between neighbors, along x and y each, and the
+    disparities differ by more than 1 px, half a pixel for each pixel between them, and three standard deviations. The
+    gap is the median of a tile of 64 x 64 px, at most 32 px. The standard deviation of a disparity is f B / Z^2 times
+    that of the range, the largest that it may be.
 
     Args:
         points_m: float32 (N, 3), in the frame of the sensor, meters; those that are not finite count as behind.
@@ -208,9 +208,10 @@ def _fill(
             counts[1] += 1
         else:
             x, y = int(u + 0.5), int(v + 0.5)
-            if d > disparities[y, x]:
-                disparities[y, x] = d
-                sigmas[y, x] = f_baseline / (depth * depth) * sigma_m
+            sigma = f_baseline / (depth * depth) * sigma_m
+            # not the nearest one by its noise: that would be too near on average
+            if index[y, x] < 0 or d - disparities[y, x] > _NOISE * sigma:
+                disparities[y, x], sigmas[y, x] = d, sigma
                 index[y, x] = at
 
 
