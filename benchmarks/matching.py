@@ -33,6 +33,7 @@ from stereo_depth_ros.core.bands import core_count
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.evaluation.evaluator import search_range
+from stereo_depth_ros.evaluation.hard_regions import hard_regions
 from stereo_depth_ros.evaluation.metrics import disparity_errors
 from stereo_depth_ros.evaluation.scenes import Scene, find_scenes
 from stereo_depth_ros.files.output import write_file
@@ -47,6 +48,8 @@ SUBPIXEL_SCENES = ("Motorcycle_quarter", "terrace")  # with ground truth that is
 SPEED_SCENE = "Motorcycle_quarter"  # its 60 px of disparity become 52 px and 103 px
 SIZES = ((640, 480, 64), (1280, 720, 128))
 FIGURES = ("density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg_px")
+REGIONS = ("edges", "thin")  # near depth edges and of thin structures
+REGION_FIGURES = ("density", "bad_2")
 BINS = 10
 REQUIRED = {  # bounds of the figures in requirements
     "bad_2 ratio": (0.0, 0.5),
@@ -127,19 +130,34 @@ def accuracy(scenes: dict[str, Scene], rounds: int = 5) -> list[Row]:
         calls = {name: METHODS[name](search) for name in COMPARED}
         times = timed_ms(calls, data.left, data.right, rounds)
         for name, call in calls.items():
-            errors = disparity_errors(disparities(call, data.left, data.right, search), data.truth_px)
+            found = disparities(call, data.left, data.right, search)
+            errors = disparity_errors(found, data.truth_px)
             row = {"scene": scene, "disparities": search.num_disparities, "method": name}
             row |= {figure: getattr(errors, figure) for figure in FIGURES}
+            row |= _in_hard_regions(found, data.truth_px)
             rows.append(row | {"ms": statistics.median(times[name])})
     return rows
+
+
+def _in_hard_regions(found: F32, truth_px: F32) -> Row:
+    """Share of the pixels with truth, density and errors, near depth edges and on thin structures."""
+    row: Row = {}
+    regions, known = hard_regions(truth_px), np.isfinite(truth_px)
+    for name in REGIONS:
+        region = getattr(regions, name)
+        errors = disparity_errors(found, truth_px, region)
+        row |= {f"{name} share": np.count_nonzero(region) / np.count_nonzero(known)}
+        row |= {f"{name} {figure}": getattr(errors, figure) for figure in REGION_FIGURES}
+    return row
 
 
 def means(rows: list[Row]) -> dict[str, Row]:
     """The mean over scenes of every figure, by method."""
     return {
         name: {
-            figure: statistics.fmean(row[figure] for row in rows if row["method"] == name)
-            for figure in (*FIGURES, "ms")
+            figure: float(np.nanmean([row[figure] for row in rows if row["method"] == name]))  # no thin structure: NaN
+            for figure in rows[0]
+            if isinstance(rows[0][figure], float)
         }
         for name in COMPARED
     }

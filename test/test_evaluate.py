@@ -66,6 +66,11 @@ def test_scenes_times_methods_as_table_json_csv_and_plots(
             line.split()[:3] == [row["scene"], row["matcher"], f"{100 * row['density']:.1f}"]
             for line in out.splitlines()
         )
+    assert out.count("near depth edges and on thin structures") == 2  # of each scene, and the means
+    # A frame of 5 px on both sides of the edges of 70 x 50 px, without its outer corners; three pixels in each corner.
+    for row in rows:
+        assert row["edges_share"] == pytest.approx((80 * 60 - 4 - 60 * 40) / (170 * 96))
+        assert row["thin_share"] == pytest.approx(12 / (170 * 96))
     assert "smallest multiple of 16 above" in " ".join(out.split())
     assert max(map(len, out.splitlines())) <= 80
     with sheet.open(newline="") as file:

@@ -86,6 +86,12 @@ def test_figures_by_hand(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
         "nonocc_bad_1": 100 * 1 / 5,
         "nonocc_bad_2_all": 100 * 1 / 6,
         "nonocc_avg": 2.5 / 5,
+        "edges_share": 1,  # all neighbors in a row differ by 10 px
+        "edges_density": 7 / 9,
+        "edges_bad_2": 100 * 2 / 7,
+        "edges_bad_2_all": 100 * 4 / 9,
+        "edges_avg": 11.5 / 7,
+        "thin_share": 0,  # disparities rise to the border, beyond which surfaces go on
         # by confidence right, right, right, right, then wrong 1.5, 6 and 3
         "auc_bad_1": 100 * (1 / 5 + 2 / 6 + 3 / 7) / 7,
         "auc_bad_1_random": 100 * 3 / 7,
@@ -102,6 +108,7 @@ def test_figures_by_hand(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
         5,
         2,
     )
+    assert row["thin_density"] is None and row["thin_bad_2"] is None
     assert row["parameters"] == {}  # 52 px are searched by the default of 64
     assert row["curve"]["kept"][-1] == 1 and row["curve"]["coverage"][-1] == pytest.approx(7 / 9)
     assert row["curve"]["bad_1"][-1] == pytest.approx(100 * 3 / 7) and row["curve"]["bad_1"][9] == 0

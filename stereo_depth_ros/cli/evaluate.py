@@ -81,6 +81,8 @@ def evaluate(
 
     A median signed error that is large against the spread of the errors is named: the disparities are shifted.
 
+    Pixels near depth edges and on thin structures, where stereo is hardest, have figures of their own.
+
     "bad x" is the percentage of the matched pixels with truth whose error is above x px; "all" counts pixels without a
     disparity as wrong. In the JSON and CSV files density is a fraction from 0 to 1.
 

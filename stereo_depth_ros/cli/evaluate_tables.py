@@ -25,6 +25,16 @@ _BAD_PIXELS: Columns = {
 _SIGNED: Columns = {"avg px": ("avg", 1), "signed px": ("signed_median", 1)}
 _SCENE_COLUMNS: Columns = {**_BAD_PIXELS, **_SIGNED, "ms": ("ms", 1)}
 _ERRORS: Columns = {**_BAD_PIXELS, "D1 all": ("d1_all", 1), **_SIGNED}
+_HARD_REGIONS: Columns = {
+    f"{part} {title}": (f"{part}_{name}", factor)
+    for part in ("edges", "thin")
+    for title, name, factor in (
+        ("share %", "share", 100),
+        ("dense %", "density", 100),
+        ("bad 2", "bad_2", 1),
+        ("bad 2 all", "bad_2_all", 1),
+    )
+}
 _COSTS: Columns = {
     "ms": ("ms", 1),
     "ms per Mpx": ("ms_per_megapixel", 1),
@@ -37,14 +47,20 @@ def evaluate_tables(
     rows: Sequence[Mapping[str, Any]], range_given: bool, plots: Path | None = None
 ) -> Iterator[TextTable]:
     """A row for each scene and method, the means of each method, and the definitions of the figures."""
-    yield _scenes_table(rows)
+    yield _scenes_table(rows, "", _SCENE_COLUMNS)
+    yield _scenes_table(rows, "near depth edges and on thin structures", _HARD_REGIONS)
     yield _means_table(rows, "mean errors", _ERRORS)
+    yield _means_table(rows, "mean errors near depth edges and on thin structures", _HARD_REGIONS)
     yield _means_table(rows, "mean times", _COSTS)
     facts = facts_table()
     facts.add_row("bad x", "percentage of the matched pixels with truth whose error is above x px")
     facts.add_row("all", "pixels without a disparity count as wrong")
     facts.add_row("signed px", "median of disparity minus truth")
     facts.add_row("nonocc", "pixels visible to both cameras only")
+    facts.add_row(
+        "edges", "pixels within 4 px of a depth edge, a step of the truth of more than 2 px; share of the truth"
+    )
+    facts.add_row("thin", "pixels of structures thinner than 8 px, nearer than all around them by more than 2 px")
     ranges = [row["disparity_range"] for row in rows]
     rule = "as set" if range_given else "the smallest multiple of 16 above the scene's largest true disparity"
     facts.add_row("disparity_range", f"{min(ranges)} to {max(ranges)}, {rule}, the same for every method")
@@ -75,9 +91,8 @@ def bias_warnings(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
                 )
 
 
-def _scenes_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
-    columns = _SCENE_COLUMNS
-    table = plain_table("scene", "matcher", *_narrow(columns))
+def _scenes_table(rows: Sequence[Mapping[str, Any]], title: str, columns: Columns) -> TextTable:
+    table = plain_table("scene", "matcher", *_narrow(columns), title=title)
     for row in rows:
         table.add_row(row["scene"], row["matcher"], *(_figure(row[key], factor) for key, factor in columns.values()))
     return table

@@ -17,6 +17,7 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig, parameter_infos
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.types import F32, F64, MatchResult
+from stereo_depth_ros.evaluation.hard_regions import hard_regions
 from stereo_depth_ros.evaluation.metrics import DisparityErrors, disparity_errors
 from stereo_depth_ros.evaluation.scenes import Scene
 from stereo_depth_ros.evaluation.sparsification import SparsificationCurve, sparsification
@@ -27,6 +28,7 @@ __all__ = ["Confidence", "Evaluation", "evaluate", "search_range"]
 _STEP = 16  # search ranges are multiples of it
 _LEAST = 32
 _RUNS, _ENOUGH_S = 5, 2.0  # number of timed runs, and the total seconds after which no further one starts
+_IN_HARD_REGIONS = ("density", "bad_1", "bad_2", "bad_2_all", "avg")
 _CURVE = tuple(step / 20 for step in range(1, 21))  # shares of pixels kept at which a curve is sampled
 
 
@@ -53,6 +55,9 @@ class Evaluation:
         result: result of the method.
         errors: errors over all pixels with truth.
         nonocc: errors over the pixels with truth that both cameras see.
+        edges, thin: errors over the pixels with truth near depth edges, and over those of thin structures, see
+            :func:`~stereo_depth_ros.evaluation.hard_regions.hard_regions`.
+        edges_share, thin_share: their shares of the pixels with truth, 0..1.
         foreground, background: errors over the two parts of the KITTI object map; None without one.
         confidence: None where the method has no confidence, or matched nothing.
         occlusion: source of the pixels that both cameras see: "mask" of the dataset, or "truth".
@@ -66,6 +71,10 @@ class Evaluation:
     result: MatchResult
     errors: DisparityErrors
     nonocc: DisparityErrors
+    edges: DisparityErrors
+    thin: DisparityErrors
+    edges_share: float
+    thin_share: float
     foreground: DisparityErrors | None
     background: DisparityErrors | None
     confidence: Confidence | None
@@ -90,6 +99,8 @@ class Evaluation:
         row: dict[str, Any] = {"scene": self.scene, "matcher": self.matcher} | {name: errors[name] for name in first}
         row |= {"ms": self.ms} | errors  # existing names keep their place
         row |= {f"nonocc_{name}": value for name, value in _figures(self.nonocc).items()}
+        for part, within, share in (("edges", self.edges, self.edges_share), ("thin", self.thin, self.thin_share)):
+            row |= {f"{part}_share": share} | {f"{part}_{name}": _figures(within)[name] for name in _IN_HARD_REGIONS}
         for part, measured in (("bg", self.background), ("fg", self.foreground)):
             row |= {f"d1_{part}": getattr(measured, "d1", None), f"d1_{part}_all": getattr(measured, "d1_all", None)}
         row |= {"constant_bias": self.errors.constant_bias_px} | _areas(self.confidence)
@@ -139,6 +150,7 @@ def evaluate(name: str, scene: Scene, matcher: str, config: MatchingConfig, give
             limit=scene.truth_px.shape,
             remedy="correct the matcher",
         )
+    known, hard = np.isfinite(scene.truth_px), hard_regions(scene.truth_px)
     objects = scene.foreground
     return Evaluation(
         scene=name,
@@ -147,6 +159,10 @@ def evaluate(name: str, scene: Scene, matcher: str, config: MatchingConfig, give
         result=result,
         errors=disparity_errors(result.disparity_px, scene.truth_px),
         nonocc=disparity_errors(result.disparity_px, scene.truth_px, scene.visible),
+        edges=disparity_errors(result.disparity_px, scene.truth_px, hard.edges),
+        thin=disparity_errors(result.disparity_px, scene.truth_px, hard.thin),
+        edges_share=np.count_nonzero(hard.edges) / np.count_nonzero(known),
+        thin_share=np.count_nonzero(hard.thin) / np.count_nonzero(known),
         foreground=None if objects is None else disparity_errors(result.disparity_px, scene.truth_px, objects),
         background=None if objects is None else disparity_errors(result.disparity_px, scene.truth_px, ~objects),
         confidence=_confidence(result, scene.truth_px),
