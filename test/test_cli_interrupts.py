@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from command_line import CommandLine, Run
 
-from stereo_depth_ros.cli import interrupts, output, parameters
+from stereo_depth_ros.cli import interrupts, kernels, parameters
 from stereo_depth_ros.files.output import OutputFile, write_file
 
 
@@ -27,11 +27,11 @@ def test_an_interrupt_in_a_callback_ends_the_command(monkeypatch: pytest.MonkeyP
         with suppress(KeyboardInterrupt):  # as machine code does that calls Python
             signal.raise_signal(number)
 
-    monkeypatch.setattr(output, "compile_kernels", compile_kernels)
+    monkeypatch.setattr(kernels, "compile_kernels", compile_kernels)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
-            output.prepare_kernels()
+            kernels.prepare_kernels()
         assert signal.getsignal(signal.SIGTERM) is signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -63,9 +63,9 @@ def test_an_interrupt_ends_the_compilation_before_the_next_kernel(monkeypatch: p
             if kernel == 1:
                 signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(output, "compile_kernels", compile_kernels)
+    monkeypatch.setattr(kernels, "compile_kernels", compile_kernels)
     with pytest.raises(KeyboardInterrupt):
-        output.prepare_kernels()
+        kernels.prepare_kernels()
     assert compiled == [1]
 
 

@@ -18,8 +18,9 @@ from stereo_depth_ros.calibration.view_finder import first_of
 from stereo_depth_ros.camera_files.one_camera import read_camera
 from stereo_depth_ros.cli.boards import BoardKind, BoardSize, Dictionary, Marker, Spacing, Square, board_maker
 from stereo_depth_ros.cli.given import given_parameters
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import Json, Overwrite, Params, new_app
-from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, warn
+from stereo_depth_ros.cli.output import progress_bar, show, warn
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.config import LightStripeConfig, replace_checked
 from stereo_depth_ros.core.camera import CameraModel

@@ -22,8 +22,9 @@ from stereo_depth_ros.cli.boards import BoardKind, BoardSize, Dictionary, Marker
 from stereo_depth_ros.cli.calibrate_tables import cameras_table, views_table
 from stereo_depth_ros.cli.camera_info import parse_size
 from stereo_depth_ros.cli.given import refuse_files, refuse_ignored
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import Json, Overwrite, new_app
-from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, warn
+from stereo_depth_ros.cli.output import progress_bar, show, warn
 from stereo_depth_ros.cli.tables import TextTable, facts_table
 from stereo_depth_ros.core.errors import CalibrationError, OutputError
 from stereo_depth_ros.files.output import check_outputs

@@ -11,8 +11,9 @@ import stereo_depth_ros.matching
 import stereo_depth_ros.messages
 import stereo_depth_ros.stages
 import stereo_depth_ros.synthetic
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import new_app
-from stereo_depth_ros.cli.output import prepare_kernels, tell
+from stereo_depth_ros.cli.output import tell
 
 __all__ = ["app"]
 

@@ -17,8 +17,9 @@ from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.camera_files.one_camera import read_camera
 from stereo_depth_ros.cli.given import is_given, refuse_ignored, require_png
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import BagOutput, Json, Overwrite, new_app
-from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show
+from stereo_depth_ros.cli.output import progress_bar, show
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import F64

@@ -7,7 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from stereo_depth_ros.cli.output import prepare_kernels, progress_bar
+from stereo_depth_ros.cli.kernels import prepare_kernels
+from stereo_depth_ros.cli.output import progress_bar
 from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.config.values import PIPELINE_NODES, Value, pipeline_config
 from stereo_depth_ros.offline.report import RunReport

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from stereo_depth_ros.config.matchers import MATCHERS
-from stereo_depth_ros.views.topics import VIEWS
+from stereo_depth_ros.config.view_topics import VIEW_TOPICS
 
 __all__ = [
     "Bag",
@@ -96,8 +96,8 @@ Views = Annotated[
     typer.Option(
         "--view",
         metavar="TOPIC",
-        help=f"Write this view too; the option may be repeated: {', '.join(VIEWS)}.",
-        autocompletion=lambda: [*VIEWS],
+        help=f"Write this view too; the option may be repeated: {', '.join(VIEW_TOPICS)}.",
+        autocompletion=lambda: [*VIEW_TOPICS],
     ),
 ]
 

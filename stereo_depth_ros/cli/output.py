@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,18 +17,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from stereo_depth_ros.camera_files.urls import camera_info_paths
 from stereo_depth_ros.cli.tables import TextTable, print_tables
-from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.core.printable import printable
 from stereo_depth_ros.files.output import as_output_errors, write_file
-from stereo_depth_ros.matching import matcher_from_config
 
 __all__ = [
     "EXIT_ERROR",
     "EXIT_INCOMPLETE",
     "ProgressLines",
+    "in_terminal",
     "parameter_files",
-    "prepare_kernels",
     "progress_bar",
     "show",
     "tell",
@@ -53,13 +49,18 @@ def warn(text: str) -> None:
     tell(f"warning: {text}")
 
 
+def in_terminal() -> bool:
+    """Whether stderr is a terminal, where progress is a bar."""
+    return _messages.is_terminal
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """Progress during the ``with`` block; call the yielded function with the number done and the total.
 
     A bar in a terminal, elsewhere a line each ten seconds, so that logs show it.
     """
-    if not _messages.is_terminal:
+    if not in_terminal():
         yield ProgressLines(title)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -97,56 +98,6 @@ class ProgressLines:
         since, before = self._first
         left_s = round((total - done) * (now - since) / (done - before))
         return f", about {left_s} s left" if left_s < 120 else f", about {round(left_s / 60)} min left"
-
-
-def prepare_kernels(config: MatchingConfig | None = None) -> None:
-    """Compile the kernels of all imported modules, and of the matcher that ``config`` selects, with progress.
-
-    Raises:
-        ConfigError: the matcher rejects its parameters.
-    """
-    if config is not None:
-        matcher_from_config(config)
-    with progress_bar("compiling kernels") as progress, _interrupts_kept() as check:
-
-        def report(number: int, total: int) -> None:
-            check()
-            if not number:
-                tell("waiting for another process that compiles kernels")
-            if _messages.is_terminal:
-                progress(max(number - 1, 0), total)
-            elif number:
-                tell(f"compiling kernels, {number} of {total}")
-
-        compile_kernels(report)
-
-
-@contextmanager
-def _interrupts_kept() -> Iterator[Callable[[], None]]:
-    """Keep SIGINT and SIGTERM until the end of the ``with`` block, or until the yielded function is called.
-
-    Numba calls back from machine code, where an exception that a signal handler raises is printed and lost.
-    """
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    received: list[int] = []
-
-    def set_handlers(handlers: Iterable[Any]) -> list[Any]:
-        return [signal.signal(number, handler) for number, handler in zip(numbers, handlers, strict=True)]
-
-    def keep(number: int, _: object) -> None:
-        received.append(number)
-
-    def release() -> None:
-        if received:
-            set_handlers(before)
-            signal.raise_signal(received[0])
-
-    before = set_handlers((keep, keep))
-    try:
-        yield release
-        release()
-    finally:
-        set_handlers(before)
 
 
 def show(tables: Iterable[TextTable], values: Any, json_file: Path | None, *, overwrite: bool = False) -> None:

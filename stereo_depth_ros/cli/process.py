@@ -11,6 +11,7 @@ from stereo_depth_ros.camera_files.urls import camera_info_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
 from stereo_depth_ros.cli.export import SurfaceExport
 from stereo_depth_ros.cli.given import PIPELINE, given_parameters
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import (
     Bag,
     BagOutput,
@@ -29,13 +30,13 @@ from stereo_depth_ros.cli.options import (
     Views,
     new_app,
 )
-from stereo_depth_ros.cli.output import parameter_files, prepare_kernels, progress_bar
+from stereo_depth_ros.cli.output import parameter_files, progress_bar
 from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.run_report import finish_run
 from stereo_depth_ros.config import ViewConfig
 from stereo_depth_ros.config.values import pipeline_config, stage_config
+from stereo_depth_ros.config.view_topics import check_views
 from stereo_depth_ros.offline.engine import process_bag
-from stereo_depth_ros.views.topics import check_views
 
 __all__ = ["app"]
 

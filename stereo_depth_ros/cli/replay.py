@@ -36,9 +36,9 @@ from stereo_depth_ros.cli.options import (
 from stereo_depth_ros.cli.output import parameter_files
 from stereo_depth_ros.cli.run_report import finish_run
 from stereo_depth_ros.config.values import Value, parse_assignments, read_params_file
+from stereo_depth_ros.config.view_topics import check_views
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.replay.options import ReplayOptions
-from stereo_depth_ros.views.topics import check_views
 
 __all__ = ["app"]
 

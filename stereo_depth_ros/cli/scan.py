@@ -18,8 +18,9 @@ from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.export import SurfaceExport, add_files
 from stereo_depth_ros.cli.given import given_parameters, refuse_ignored
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import BagOutput, Export, Json, Overwrite, Params, new_app
-from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, tell
+from stereo_depth_ros.cli.output import progress_bar, show, tell
 from stereo_depth_ros.cli.run_report import truth_text
 from stereo_depth_ros.cli.scan_stripe import MOVING, StripeScanOptions, scan_stripe
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table

@@ -22,7 +22,8 @@ from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.calibration.view_finder import first_of
 from stereo_depth_ros.cli.calibrate_laser import stripe_config
 from stereo_depth_ros.cli.given import require_png
-from stereo_depth_ros.cli.output import prepare_kernels, progress_bar, show, warn
+from stereo_depth_ros.cli.kernels import prepare_kernels
+from stereo_depth_ros.cli.output import progress_bar, show, warn
 from stereo_depth_ros.cli.tables import TextTable, facts_table
 from stereo_depth_ros.config import LightStripeConfig
 from stereo_depth_ros.core.camera import CameraModel

@@ -16,6 +16,7 @@ from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.given import given_parameters, is_given, refuse_ignored
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import (
     Duration,
     Left,
@@ -31,7 +32,6 @@ from stereo_depth_ros.cli.options import (
 from stereo_depth_ros.cli.output import (
     EXIT_INCOMPLETE,
     parameter_files,
-    prepare_kernels,
     progress_bar,
     show,
     tell,

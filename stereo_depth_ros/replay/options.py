@@ -10,8 +10,8 @@ from typing import Any
 
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.config import parameter_infos
+from stereo_depth_ros.config.view_topics import check_views
 from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.views.topics import check_views
 
 __all__ = ["ReplayOptions"]
 

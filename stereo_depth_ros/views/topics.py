@@ -4,12 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from stereo_depth_ros.config import ViewConfig
-from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.core.quoted import quoted
+from stereo_depth_ros.config.view_topics import VIEW_TOPICS
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.messages.payloads import PayloadPool
@@ -20,7 +19,7 @@ from stereo_depth_ros.views.convergence import Convergence, converged
 from stereo_depth_ros.views.frame import ViewFrame
 from stereo_depth_ros.views.interpolation import interpolate_view
 
-__all__ = ["VIEWS", "View", "ViewImages", "ViewMessages", "check_views"]
+__all__ = ["VIEWS", "View", "ViewImages", "ViewMessages"]
 
 
 class ViewImages:
@@ -84,12 +83,18 @@ class View(NamedTuple):
 
 
 # By topic, relative to the namespace
-VIEWS: Mapping[str, View] = {
-    "view/image": View(True, ViewImages.interpolated),
-    "anaglyph": View(True, ViewImages.anaglyph),
-    "disparity_color": View(False, ViewImages.disparity_color),
-    "depth_color": View(False, ViewImages.depth_color),
-}
+VIEWS: Mapping[str, View] = dict(
+    zip(
+        VIEW_TOPICS,
+        (
+            View(True, ViewImages.interpolated),
+            View(True, ViewImages.anaglyph),
+            View(False, ViewImages.disparity_color),
+            View(False, ViewImages.depth_color),
+        ),
+        strict=True,
+    )
+)
 
 
 class ViewMessages:
@@ -107,23 +112,3 @@ class ViewMessages:
         encoding = "mono8" if pixels.ndim == 2 else "bgr8"
         payload = self._pool.get(topic, pixels.nbytes)
         return image_message(self._types, pixels, encoding, frame.stamp_ns, frame.frame_id, payload)
-
-
-def check_views(topics: Sequence[str]) -> tuple[str, ...]:
-    """The topics, if all of them are views.
-
-    Raises:
-        ConfigError: an unknown one, or one that is there twice.
-    """
-    for topic in topics:
-        if topic not in VIEWS:
-            raise ConfigError(
-                f"view {quoted(topic)} is not one of {', '.join(VIEWS)}",
-                value=topic,
-                limit=tuple(VIEWS),
-                remedy="use one of them",
-                settings=("view",),
-            )
-    if len(set(topics)) < len(topics):
-        raise ConfigError(f"a view is named twice in {', '.join(topics)}", value=tuple(topics), remedy="name each once")
-    return tuple(topics)
