@@ -17,6 +17,7 @@ from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import U8, MatchResult
 from stereo_depth_ros.matching import MATCHERS, create_matcher, onnx, registry
 from stereo_depth_ros.matching.costs.census import census_rows
+from stereo_depth_ros.matching.networks.network import Network
 from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
 from stereo_depth_ros.matching.window import fixed_window
@@ -28,8 +29,9 @@ NODE = SimpleNamespace(type="tensor(float)", shape=[1, 1, None, None])
 def network(monkeypatch: pytest.MonkeyPatch) -> None:
     """The matcher onnx without a file: a session with two inputs and one output."""
     inputs = [SimpleNamespace(name=name, **vars(NODE)) for name in ("left", "right")]
-    session = SimpleNamespace(get_inputs=lambda: inputs, get_outputs=lambda: [SimpleNamespace(name="disparity")])
-    monkeypatch.setattr(onnx, "_open", lambda model: session)
+    outputs = [SimpleNamespace(name="disparity", **vars(NODE))]
+    session = SimpleNamespace(get_inputs=lambda: inputs, get_outputs=lambda: outputs)
+    monkeypatch.setattr(onnx, "open_network", lambda model, provider, matcher: Network(model, session, "cpu", {}))
 
 
 @pytest.mark.parametrize("name", MATCHERS)

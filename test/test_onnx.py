@@ -63,13 +63,21 @@ class Network:
         """(1, 1, H, W) float, the mean of the channels."""
         return self.add("ReduceMean", self.add("Cast", image, to=TensorProto.FLOAT), axes=[1], keepdims=1)
 
-    def save(self, path: Path, outputs: dict[str, str]) -> str:
-        """Writes a file whose outputs, by name, are these nodes."""
+    def save(
+        self,
+        path: Path,
+        outputs: dict[str, str],
+        metadata: dict[str, str] | None = None,
+        shapes: dict[str, Any] | None = None,
+    ) -> str:
+        """Writes a file whose outputs, by name, are these nodes; with metadata and with declared shapes."""
         nodes = [*self._nodes, *(helper.make_node("Identity", [node], [name]) for name, node in outputs.items())]
-        infos = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in outputs]
+        infos = [helper.make_tensor_value_info(n, TensorProto.FLOAT, (shapes or {}).get(n)) for n in outputs]
         graph = helper.make_graph(nodes, "test", self._inputs, infos, self._constants)
         opset = helper.make_opsetid("", 13)
-        onnx.save(helper.make_model(graph, opset_imports=[opset], ir_version=8), str(path))
+        model = helper.make_model(graph, opset_imports=[opset], ir_version=8)
+        helper.set_model_props(model, metadata or {})
+        onnx.save(model, str(path))
         return str(path)
 
 
@@ -272,9 +280,9 @@ def test_a_network_is_opened_once_and_again_when_its_file_changes(tmp_path: Path
     network = Network()
     network.save(model, {"disparity": block_matching(network)})
     checked, used = matcher(str(model)), matcher(str(model), min_disparity=3)
-    assert used._session is checked._session, "the one that the parameters were checked with"
+    assert used._network is checked._network, "the one that the parameters were checked with"
     os.utime(model, ns=(1, 1))
-    assert matcher(str(model))._session is not checked._session
+    assert matcher(str(model))._network is not checked._network
 
 
 def test_missing_model_or_file(tmp_path: Path) -> None:
@@ -285,7 +293,7 @@ def test_missing_model_or_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"is not a file"):
         matcher(str(tmp_path))
     (tmp_path / "text.onnx").write_text("not a network")
-    with pytest.raises(ConfigError, match=r"text\.onnx' is not a network that can be run: .*: export it again"):
+    with pytest.raises(ConfigError, match=r"text\.onnx' is not an ONNX file: .*: export it again"):
         matcher(str(tmp_path / "text.onnx"))
 
 
@@ -339,7 +347,8 @@ def test_output_of_another_size(tmp_path: Path) -> None:
     for found, shape in ((half, r"\(1, 1, 32, 64\)"), (twice, r"\(1, 2, 64, 128\)")):
         model = network.save(tmp_path / "network.onnx", {"output": found})
         with pytest.raises(
-            ConfigError, match=rf"inputs of shape \(1, 1, 64, 128\) the output 'output' of shape {shape}, it must"
+            ConfigError,
+            match=rf"images of 128 x 64 px the output 'output' of shape {shape}, it must have one value per",
         ):
             matcher(model).match(*shifted_pair(50, 100, 3))
 

@@ -31,7 +31,7 @@ MAY_USE_FILES = (
     "core/camera_yaml.py",
     "core/kernels.py",
     "core/bands.py",
-    "matching/onnx.py",
+    "matching/networks/network.py",
 )
 EXITS = ("print", "exit", "quit", "sys.exit", "os._exit", "typer.Exit", "typer.Abort", "SystemExit")
 

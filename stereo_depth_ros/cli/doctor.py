@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -16,10 +16,11 @@ from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.camera_files.reading import rig_file_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.errors import param_options
-from stereo_depth_ros.cli.given import is_given, refuse_ignored
-from stereo_depth_ros.cli.options import Json, Left, Overwrite, Right, SideBySide, new_app
-from stereo_depth_ros.cli.output import progress_bar, show
+from stereo_depth_ros.cli.given import given_parameters, is_given, refuse_ignored
+from stereo_depth_ros.cli.options import Json, Left, Matcher, Overwrite, Params, Right, SideBySide, new_app
+from stereo_depth_ros.cli.output import parameter_files, prepare_kernels, progress_bar, show
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
+from stereo_depth_ros.config.values import Value, pipeline_config
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.diagnosis.doctor import diagnose
@@ -27,6 +28,8 @@ from stereo_depth_ros.diagnosis.finding import Level
 from stereo_depth_ros.diagnosis.survey import StereoSetup
 from stereo_depth_ros.diagnosis.verdict import Diagnosis
 from stereo_depth_ros.files.output import check_outputs
+from stereo_depth_ros.matching import Matcher as StereoMatcher
+from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.replay.graph_processes import require_ros
 
 __all__ = ["app"]
@@ -56,6 +59,8 @@ def doctor(
     left: Left = None,
     right: Right = None,
     side_by_side: SideBySide = False,
+    matcher: Matcher = None,
+    param: Params = None,
     left_namespace: Annotated[
         str, typer.Option(metavar="NAME", help="Look for the left camera in this namespace, with --live.")
     ] = "left",
@@ -73,6 +78,9 @@ def doctor(
     In a bag, topics are detected as by `info`. With --live they are image_raw (or else image_rect) and camera_info in
     the two namespaces, unless --left and --right are given.
 
+    With --matcher or --param, the disparities of a matcher are compared with those of features: a constant offset or
+    scale, as of a network that is not exported as it was trained, is named.
+
     Exit codes are 0 without a fault (there may be warnings), 1 for a fault or if nothing can be examined, 2 for wrong
     usage, and 3 where no fault was found but some checks were skipped.
 
@@ -81,6 +89,7 @@ def doctor(
       stereo-depth doctor drive.mcap
       stereo-depth doctor drive.mcap --json - | jq '.findings[] | select(.level == "error")'
       stereo-depth doctor --live --left-namespace stereo/left --right-namespace stereo/right --seconds 10
+      stereo-depth doctor drive.mcap --matcher onnx --param onnx_model:=network.onnx --param disparity_range:=192
     """
     if live == (bag is not None):
         raise ConfigError(
@@ -88,22 +97,34 @@ def doctor(
             remedy="give a BAG, or --live for the running graph",
         )
     _check_options(context, live)
-    inputs = [*(bag_files(bag) if bag is not None else ()), *(rig_file_paths(camera_info) if camera_info else ())]
+    values = given_parameters(param or (), matcher, stages=("matching",))
+    files = rig_file_paths(camera_info) if camera_info else []
+    inputs = [*(bag_files(bag) if bag is not None else ()), *files, *parameter_files(None, values)]
     check_outputs((), inputs, reports=[json_file], overwrite=overwrite)
+    chosen = _chosen(values)
     if bag is not None:
         with progress_bar("reading") as progress:
-            files = tuple(camera_info or ())
-            selection = BagSelection(bag, left, right, side_by_side=side_by_side, camera_files=files)
+            given = tuple(camera_info or ())
+            selection = BagSelection(bag, left, right, side_by_side=side_by_side, camera_files=given)
             setup = survey_bag(selection, progress)
     else:
         setup = _listen(left, right, left_namespace, right_namespace, seconds)
     with progress_bar("matching features") as progress:
-        diagnosis = diagnose(setup, progress)
+        diagnosis = diagnose(setup, progress, chosen)
     show(_tables(diagnosis), diagnosis.to_json(), json_file, overwrite=overwrite)
     if diagnosis.level is Level.ERROR:
         raise typer.Exit(_EXIT_ERROR)
     if diagnosis.skipped:
         raise typer.Exit(_EXIT_SKIPPED)
+
+
+def _chosen(values: Mapping[str, Value]) -> StereoMatcher | None:
+    """The matcher that is examined too; None where no parameter of one is given."""
+    if not values:
+        return None
+    config = pipeline_config(values).matching
+    prepare_kernels(config)
+    return matcher_from_config(config)
 
 
 def _check_options(context: typer.Context, live: bool) -> None:

@@ -24,7 +24,9 @@ def prepare_kernels(config: MatchingConfig | None = None) -> None:
         ConfigError: the matcher rejects its parameters.
     """
     if config is not None:
-        matcher_from_config(config)
+        matcher = matcher_from_config(config)
+        if matcher.engine:
+            tell(f"matcher {matcher.name}: {matcher.engine}")
     with progress_bar("compiling kernels") as progress, _interrupts_kept() as check:
 
         def report(number: int, total: int) -> None:

@@ -16,6 +16,7 @@ _CORRELATION = (*_SEARCH, *_CHECKS, _WINDOW, "window_cost", "max_difference", "v
 _GLOBAL = (*_SEARCH, *_CHECKS[1:], _WINDOW, "smoothness")
 
 _TEMPORAL = ("temporal_window", "temporal_gap")
+_NETWORK = ("onnx_model", "onnx_provider", "onnx_normalization", "onnx_multiple")
 
 _SECOND_COST = "percentage by which the costs of all but the adjacent disparities must exceed the lowest cost"
 
@@ -112,7 +113,7 @@ _LINES = (
         "onnx",
         "onnx:OnnxMatcher",
         "A user-supplied neural network, two images in and a disparity map out; needs onnxruntime.",
-        (*_SEARCH, "onnx_model"),
+        (*_SEARCH, *_NETWORK, "onnx_scale", "onnx_offset"),
     ),
     MatcherInfo(
         "spacetime",

@@ -161,10 +161,38 @@ class FeatureConfig(Checked):
 
 @dataclass(frozen=True)
 class OnnxConfig(Checked):
-    """Parameters of ``onnx``."""
+    """Parameters of ``onnx``, and of ``sgm`` where a network gives its costs."""
 
-    onnx_model: str = parameter(
-        "", "Path of the ONNX file of the network, two images in and a disparity map out.", run_time=False
+    onnx_model: str = parameter("", "Path of the ONNX file of the network.", run_time=False)
+    onnx_provider: str = parameter(
+        "auto",
+        "Execution provider of ONNX Runtime; auto takes the first of cuda, openvino and cpu that starts.",
+        choices=("auto", "cpu", "cuda", "tensorrt", "openvino"),
+        run_time=False,
+    )
+    onnx_normalization: str = parameter(
+        "auto",
+        "What the network takes instead of gray values of 0 to 255 (none): 0 to 1 (unit), -1 to 1 (signed), by mean "
+        "and deviation of ImageNet; auto takes that of the metadata of its file, or none.",
+        choices=("auto", "none", "unit", "signed", "imagenet"),
+    )
+    onnx_multiple: int = parameter(
+        0,
+        "Images are padded to a multiple of this size; 0 takes that of the metadata, or the first of 32, 64 and 128 "
+        "with which the network runs.",
+        low=0,
+        high=512,
+        unit="px",
+    )
+    onnx_scale: float = parameter(
+        0.0,
+        "Factor of the disparities of the network; 0 takes that of the metadata, or 1, or -1 where their mean is "
+        "negative.",
+        low=-10000.0,
+        high=10000.0,
+    )
+    onnx_offset: float = parameter(
+        0.0, "Added to the disparities of the network, against a constant bias.", low=-16.0, high=16.0, unit="px"
     )
 
 

@@ -18,6 +18,7 @@ from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.diagnosis.checks.cameras import check_camera, check_resolution, fits_image
 from stereo_depth_ros.diagnosis.checks.disparities import check_camera_order, check_depths
 from stereo_depth_ros.diagnosis.checks.images import check_bit_depth, check_exposure, check_two_cameras
+from stereo_depth_ros.diagnosis.checks.matcher import check_matcher
 from stereo_depth_ros.diagnosis.checks.rig import (
     check_frame,
     check_frame_names,
@@ -38,22 +39,28 @@ from stereo_depth_ros.diagnosis.finding import Finding, Level, is_wrong
 from stereo_depth_ros.diagnosis.root_causes import settled
 from stereo_depth_ros.diagnosis.survey import CameraRecord, StereoSetup
 from stereo_depth_ros.diagnosis.verdict import Diagnosis
+from stereo_depth_ros.matching import Matcher
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["diagnose"]
 
 
-def diagnose(setup: StereoSetup, progress: Callable[[int, int], None] = lambda done, total: None) -> Diagnosis:
+def diagnose(
+    setup: StereoSetup,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    matcher: Matcher | None = None,
+) -> Diagnosis:
     """All findings on a setup; no fault hides another one.
 
     Args:
         setup: what to examine.
         progress: called with pairs matched and pairs to match.
+        matcher: whose disparities are compared with those of features; None compares none.
     """
     cameras, findings = _examine_infos(setup)
     findings += _examine_streams(setup)
     findings += _examine_images(setup, cameras, findings)
-    findings += _examine_rows(setup, cameras, findings, progress)
+    findings += _examine_rows(setup, cameras, findings, progress, matcher)
     return Diagnosis(setup, (*setup.findings, *settled(findings)))
 
 
@@ -170,6 +177,7 @@ def _examine_rows(
     cameras: list[CameraModel],
     before: list[Finding],
     progress: Callable[[int, int], None],
+    matcher: Matcher | None,
 ) -> list[Finding]:
     """Findings by the features of rectified images."""
     if not setup.pairs or is_wrong(before, "two cameras"):
@@ -195,6 +203,8 @@ def _examine_rows(
     findings.append(check_rows(matching, raw, width, height, rig.f_px if rig else None))
     if rig is not None:
         findings += check_depths(matching, rig, not why_not)
+    if matcher is not None:
+        findings += check_matcher(matcher, given)
     return findings
 
 

@@ -51,6 +51,10 @@ class Matcher(Protocol):
     def pair_count(self) -> int:
         """Number of pairs of a sequence, the newest ones, that it matches together; 1 for a method of single pairs."""
 
+    @property
+    def engine(self) -> str:
+        """What runs its network, for the log; empty for a method without one."""
+
     def match(self, left: U8, right: U8, out: F32 | None = None, earlier: Sequence[Images] = ()) -> MatchResult:
         """Disparities of the left image. They depend on the arguments alone, not on the calls before.
 

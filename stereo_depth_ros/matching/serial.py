@@ -26,6 +26,7 @@ class SerialMatcher(ABC):
     step_px: float
     uses_one_core = False
     pair_count = 1
+    engine = ""
 
     def __init__(self, config: MatchingConfig) -> None:
         self.config = config

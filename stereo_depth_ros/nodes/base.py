@@ -72,7 +72,7 @@ class StereoNode(Node):  # type: ignore[misc]
 
     Attributes:
         interface: its name, the types of its topics, and its configs, of which PairingConfig is one.
-        matcher: name of the matcher; empty without one.
+        matcher: name of the matcher and of what runs its network; empty without one.
         sources: what is read from files instead of a topic, for the line of the inputs in the log.
         frames: of a node whose frames overlap, see :meth:`overlap_frames`; else None.
 
@@ -203,7 +203,8 @@ class StereoNode(Node):  # type: ignore[misc]
 
     def check_matcher(self, config: MatchingConfig) -> None:
         """Compile the kernels of the matcher; raise ConfigError where it refuses its parameters."""
-        self.matcher = matcher_from_config(config).name
+        matcher = matcher_from_config(config)
+        self.matcher = f"{matcher.name} ({matcher.engine})" if matcher.engine else matcher.name
         compile_kernels(functools.partial(log_compilation, self))
 
     def readiness(self) -> list[str]:
