@@ -17,8 +17,9 @@ from stereo_depth_ros.camera_files.reading import rig_file_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.errors import param_options
 from stereo_depth_ros.cli.given import given_parameters, is_given, refuse_ignored
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import Json, Left, Matcher, Overwrite, Params, Right, SideBySide, new_app
-from stereo_depth_ros.cli.output import parameter_files, prepare_kernels, progress_bar, show
+from stereo_depth_ros.cli.output import parameter_files, progress_bar, show
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.config.values import Value, pipeline_config
 from stereo_depth_ros.core.errors import ConfigError

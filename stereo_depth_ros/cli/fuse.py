@@ -19,6 +19,7 @@ from stereo_depth_ros.camera_files.urls import camera_info_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
 from stereo_depth_ros.cli.export import add_files
 from stereo_depth_ros.cli.given import given_parameters, refuse_ignored, require_png
+from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import (
     Duration,
     Json,
@@ -32,15 +33,7 @@ from stereo_depth_ros.cli.options import (
     Start,
     new_app,
 )
-from stereo_depth_ros.cli.output import (
-    EXIT_INCOMPLETE,
-    parameter_files,
-    prepare_kernels,
-    progress_bar,
-    show,
-    tell,
-    warn,
-)
+from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progress_bar, show, tell, warn
 from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.tables import TextTable, facts_table
 from stereo_depth_ros.config import PipelineConfig
