@@ -51,7 +51,7 @@ _LINES = (
     MatcherInfo(
         "sgbm",
         "sgm.semi_global_block_matching:SemiGlobalBlockMatcher",
-        "Semi-global block matching with the exact disparities of OpenCV's StereoSGBM; P1 and P2 can follow the window.",
+        "Semi-global block matching with the exact disparities of OpenCV's StereoSGBM; automatic P1 and P2.",
         (*_SEARCH, *_CHECKS, _WINDOW, "prefilter_cap", "sgbm_mode", "P1", "P2"),
         _SECOND_COST,
     ),
