@@ -52,7 +52,7 @@ _LINES = (
     MatcherInfo(
         "sgbm",
         "sgm.semi_global_block_matching:SemiGlobalBlockMatcher",
-        "OpenCV's semi-global block matching, all four modes; P1 and P2 can follow the window area.",
+        "Semi-global block matching with the exact disparities of OpenCV's StereoSGBM; automatic P1 and P2.",
         (*_SEARCH, *_CHECKS, _WINDOW, "prefilter_cap", "sgbm_mode", "P1", "P2"),
         _SECOND_COST,
     ),

@@ -56,7 +56,7 @@ def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], 
 
     def decorate(function: FunctionT) -> FunctionT:
         inlined = not signatures and not allocates
-        dispatcher: Any = numba.njit(nogil=True, forceinline=inlined, _nrt=allocates)(function)
+        dispatcher: Any = numba.njit(nogil=True, forceinline=inlined, _nrt=allocates, no_cfunc_wrapper=True)(function)
         return Kernel(dispatcher, signatures, allocates) if signatures else dispatcher  # type: ignore[return-value]
 
     return decorate
@@ -190,6 +190,8 @@ def _add_function(digest: Any, function: Any, seen: set[int]) -> None:
     seen.add(id(function))
     code = function.__code__
     _add_code(digest, code, function.__doc__)
+    for cell in function.__closure__ or ():
+        _add_value(digest, cell.cell_contents, seen)
     for name in _names(code):
         if name in function.__globals__:
             digest.update(name.encode())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Semi-global block matching by OpenCV's StereoSGBM."""
+"""Semi-global block matching with the results of OpenCV's StereoSGBM."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import U8, MatchResult, Reason
-from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter, disparity_from_x16
+from stereo_depth_ros.matching.filters.speckle_filter import SpeckleFilter, disparity_from_x16
 from stereo_depth_ros.matching.local_consistency import local_consistency
 from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
+from stereo_depth_ros.matching.sgm.block_costs import I16
+from stereo_depth_ros.matching.sgm.block_paths import BlockScratch, BlockSearch, match_blocks
 
 __all__ = ["SemiGlobalBlockMatcher", "penalties"]
 
@@ -28,6 +30,9 @@ MODES = (
     cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     cv2.STEREO_SGBM_MODE_HH4,
 )
+OWN_MODES = (0, 1)
+MEDIAN_PX = 3  # of the filter that follows
+LEAST_CAP = 15  # of OpenCV, and an odd one
 LARGEST_TOTAL = 2**15 - 1  # OpenCV sums in 16 bits
 BORDER = int(Reason.BORDER)
 NO_MATCH = int(Reason.NO_MATCH)
@@ -36,10 +41,12 @@ NO_MATCH = int(Reason.NO_MATCH)
 class SemiGlobalBlockMatcher(SerialMatcher):
     """``cv2.StereoSGBM`` (Hirschmueller 2008, with block costs of Birchfield and Tomasi 1998).
 
-    It processes the whole image in one thread, as paths cross all rows. Fractions of ``uniqueness_ratio``, ``P1`` and
-    ``P2`` are cut off, see :func:`penalties`; ``disp12_max_diff`` 0 means 1 px, as in OpenCV. OpenCV does not report
-    why it rejects a pixel: NO_MATCH, or BORDER where the search leaves the right image. The speckle filter of this
-    package gives the result of OpenCV and the reason SPECKLE.
+    Modes 0 and 1 (SGBM, HH) are kernels of this package with the same disparities, see
+    :mod:`stereo_depth_ros.matching.sgm.block_paths`; modes 2 and 3 (3WAY, HH4) are computed by OpenCV. The whole image
+    is processed in one thread, as paths cross all rows. Fractions of ``uniqueness_ratio``, ``P1`` and ``P2`` are cut
+    off, see :func:`penalties`; ``disp12_max_diff`` 0 means 1 px, as in OpenCV. As OpenCV, it does not tell why a pixel
+    is rejected: NO_MATCH, or BORDER where the search leaves the right image. The speckle filter of this package gives
+    the result of OpenCV and the reason SPECKLE.
 
     ``support_px`` is the window; the Sobel prefilter and the interpolation of the pixel costs read a little more.
     """
@@ -66,6 +73,8 @@ class SemiGlobalBlockMatcher(SerialMatcher):
         self._invalid = (config.min_disparity - 1) * X16_STEPS
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * X16_STEPS)
         self._disparity_x16: I16 = np.empty((0, 0), np.int16)
+        self._search = _search(config, P1, P2)
+        self._own = config.sgbm_mode in OWN_MODES
         self._sgbm = cv2.StereoSGBM.create(
             minDisparity=config.min_disparity,
             numDisparities=config.num_disparities,
@@ -87,7 +96,13 @@ class SemiGlobalBlockMatcher(SerialMatcher):
         reasons = np.empty(left.shape, np.uint8)
         if self._disparity_x16.shape != left.shape:
             self._disparity_x16 = np.empty(left.shape, np.int16)
-        self._sgbm.compute(left, right, self._disparity_x16)
+            if self._own:
+                self._scratch = BlockScratch.allocate(len(left), left.shape[1], self._search)
+        if self._own:
+            match_blocks(left, right, self._search, self._scratch, self._disparity_x16)
+            cv2.medianBlur(self._disparity_x16, MEDIAN_PX, self._disparity_x16)
+        else:
+            self._sgbm.compute(left, right, self._disparity_x16)
         begin = max(0, config.max_disparity + 1)
         end = left.shape[1] + min(0, config.min_disparity)
         run_bands(_reason_rows, left.shape[0], self._disparity_x16, self._invalid, begin, end, reasons)
@@ -106,6 +121,22 @@ def penalties(config: MatchingConfig) -> tuple[int, int]:
     P1, P2 = int(config.P1), int(config.P2)
     P1 = P1 or min(8 * area, (P2 or room) // 2)
     return P1, P2 or max(min(32 * area, room), P1 + 1)
+
+
+def _search(config: MatchingConfig, P1: int, P2: int) -> BlockSearch:
+    P1 = P1 or 2  # as OpenCV does
+    return BlockSearch(
+        begin=max(config.max_disparity + 1, 0),
+        min_disparity=config.min_disparity,
+        num_disparities=config.num_disparities,
+        cap=max(config.prefilter_cap, LEAST_CAP) | 1,
+        radius=config.correlation_window_size // 2,
+        P1=np.int16(P1),
+        P2=np.int16(max(P2, P1 + 1)),
+        uniqueness=int(config.uniqueness_ratio),
+        tolerance=config.disp12_max_diff or 1,
+        both_ways=config.sgbm_mode == 1,
+    )
 
 
 def _largest_pixel_cost(config: MatchingConfig) -> int:

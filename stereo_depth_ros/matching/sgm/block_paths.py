@@ -1,0 +1,389 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Semi-global block matching: costs of windows summed along paths in 16 bits, winners and left-right check.
+
+L(p, d) = C(p, d) + min(L(p-r, d), L(p-r, d +- 1) + P1, min_k L(p-r, k) + P2) - min_k L(p-r, k)
+(Hirschmueller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008, equation 13), with the
+arithmetic of OpenCV's StereoSGBM, also where it saturates: C includes P2, paths begin from zero.
+
+Costs of a pixel are in the order of block_costs.py: of each 2 n disparities, the even ones, then the odd ones. The
+neighbors of a vector of disparities are then another vector, and this one moved by one lane.
+
+Paths from the row above are written over those of that row. A diagonal one moves by a column from row to row, so its
+place is a column minus or plus the number of the row, around the end of the buffer.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numba import int16, int64, uint8, uint16
+
+from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
+from stereo_depth_ros.core.page_memory import on_pages
+from stereo_depth_ros.core.types import U8, U16
+from stereo_depth_ros.core.vectors import (
+    BYTES,
+    WORDS,
+    add_saturated,
+    at_most,
+    bit_count,
+    equal,
+    first_lane,
+    least_lane,
+    load,
+    maximum,
+    minimum,
+    next_lanes,
+    previous_lanes,
+    repeat,
+    store,
+    subtract_saturated,
+)
+from stereo_depth_ros.matching.sgm.block_costs import (
+    I16,
+    feature_rows,
+    move_windows,
+    padded_count,
+    pixel_costs,
+)
+
+__all__ = ["LARGEST", "BlockScratch", "BlockSearch", "match_blocks"]
+
+LARGEST = np.int16(2**15 - 1)
+_LEAST = np.int16(-(2**15))
+_ZERO = np.int16(0)
+_STEPS = 16  # per px
+
+
+class BlockSearch(NamedTuple):
+    """Parameters of a search, as OpenCV uses them."""
+
+    begin: int  # first left column with all disparities in the right image
+    min_disparity: int
+    num_disparities: int
+    cap: int
+    radius: int
+    P1: np.int16
+    P2: np.int16
+    uniqueness: int  # percent
+    tolerance: int  # of the left-right check, px
+    both_ways: bool  # eight directions
+
+
+class BlockScratch(NamedTuple):
+    """Buffers for images of N columns with all disparities, K per pixel."""
+
+    own: U8  # (W,)
+    features: U8  # (2, 6, W + BYTES) see feature_rows
+    pixels: U8  # (rows of a window + 2, N K) costs of pixels; zeros in the last row
+    sums: U16  # (2, K) see move_windows
+    windows: I16  # (1 or H, N K) costs of windows
+    totals: I16  # (1 or H, N K) sums of path costs
+    along: I16  # (K,) path costs from the left or right
+    above: I16  # (3, N K) path costs from the row before, from the left, straight and from the right
+    least: I16  # (3, N) their minima
+    unused: I16  # (K,) LARGEST where there is no disparity, else the lowest number
+    total: I16  # (K,) sums of a pixel
+    right_total: I16  # (W,) the lowest sum of each right pixel, and its disparity, px
+    right: I16
+
+    @classmethod
+    def allocate(cls, height: int, width: int, search: BlockSearch) -> BlockScratch:
+        """Buffers for images of this size."""
+        count = padded_count(search.num_disparities)
+        row = (width + min(0, search.min_disparity) - search.begin) * count
+        rows = height if search.both_ways else 1
+        index = np.arange(count)
+        disparity = index // BYTES * BYTES + index % WORDS * 2 + index % BYTES // WORDS
+        return cls(
+            own=np.empty(width, np.uint8),
+            features=np.zeros((2, 6, width + BYTES), np.uint8),
+            pixels=on_pages((2 * search.radius + 3, row), np.uint8),
+            sums=on_pages((2, count), np.uint16),
+            windows=on_pages((rows, row), np.int16),
+            totals=on_pages((rows, row), np.int16),
+            along=on_pages((count,), np.int16),
+            above=on_pages((3, row), np.int16),
+            least=np.zeros((3, row // count), np.int16),
+            unused=np.where(disparity < search.num_disparities, _LEAST, LARGEST),
+            total=on_pages((count,), np.int16),
+            right_total=np.empty(width, np.int16),
+            right=np.empty(width, np.int16),
+        )
+
+
+@compiled(allocates=False)
+def _lower(near: Any, here: Any, delta: Any, P1: Any, cost: Any) -> Any:
+    """Path costs of a pixel from those of the pixel before, their lower neighbors and their minimum plus P2."""
+    lowest = minimum(minimum(here, add_saturated(near, P1)), delta)
+    return add_saturated(subtract_saturated(lowest, delta), cost)
+
+
+@compiled(allocates=False)
+def _step(
+    path: I16, at: int, last: bool, even: Any, before: Any, delta: Any, P1: Any, even_cost: Any, odd_cost: Any
+) -> Any:
+    """A step of a path for the two vectors at ``at``, before which are ``even`` and the last odd one, ``before``.
+
+    Returns the new path costs of even and of odd disparities, and ``before`` and ``even`` for the next two vectors.
+    """
+    odd = load(path, at + WORDS)
+    after = repeat(LARGEST) if last else load(path, at + BYTES)
+    new_even = _lower(minimum(previous_lanes(odd, before), odd), even, delta, P1, even_cost)
+    new_odd = _lower(minimum(even, next_lanes(even, after)), odd, delta, P1, odd_cost)
+    return new_even, new_odd, odd, after
+
+
+@compiled(allocates=False)
+def _turn(x: int, width: int) -> int:
+    if x < 0:
+        return x + width
+    if x >= width:
+        return x - width
+    return x
+
+
+@compiled(allocates=False)
+def _sum_paths(t: int, back: bool, search: BlockSearch, s: BlockScratch, windows: I16, totals: I16) -> None:
+    """Sums over the paths from the row before and along the row.
+
+    Args:
+        t: number of the row, counted from the first or, if ``back``, from the last one.
+        back: paths from below and from the right, added to the sums.
+    """
+    count = s.along.size
+    width = windows.size // count
+    padded = count > search.num_disparities
+    along, left, straight, right = s.along, s.above[0], s.above[1], s.above[2]
+    top, P1 = repeat(LARGEST), repeat(search.P1)
+    turn = t % width
+    start_left, start_right = _turn(-turn, width) * count, _turn(width - 1 + turn, width) * count
+    along[:] = 0
+    left[start_left : start_left + count] = 0
+    right[start_right : start_right + count] = 0
+    s.least[0, start_left // count] = 0
+    s.least[2, start_right // count] = 0
+    least = _ZERO
+    for i in range(width):
+        x = width - 1 - i if back else i
+        x_left, x_right = _turn(x - turn, width), _turn(x + turn, width)
+        at_left, at_right, at = x_left * count, x_right * count, x * count
+        delta = repeat(np.int16(least + search.P2))
+        delta_left = repeat(np.int16(s.least[0, x_left] + search.P2))
+        delta_straight = repeat(np.int16(s.least[1, x] + search.P2))
+        delta_right = repeat(np.int16(s.least[2, x_right] + search.P2))
+        low, low_left, low_straight, low_right = top, top, top, top
+        before, before_left, before_straight, before_right = top, top, top, top
+        even, even_left = load(along, 0), load(left, at_left)
+        even_straight, even_right = load(straight, at), load(right, at_right)
+        for k in range(0, count, BYTES):
+            last = k + BYTES == count
+            c_even, c_odd = load(windows, at + k), load(windows, at + k + WORDS)
+            e0, o0, before, even = _step(along, k, last, even, before, delta, P1, c_even, c_odd)
+            e1, o1, before_left, even_left = _step(
+                left, at_left + k, last, even_left, before_left, delta_left, P1, c_even, c_odd
+            )
+            e2, o2, before_straight, even_straight = _step(
+                straight, at + k, last, even_straight, before_straight, delta_straight, P1, c_even, c_odd
+            )
+            e3, o3, before_right, even_right = _step(
+                right, at_right + k, last, even_right, before_right, delta_right, P1, c_even, c_odd
+            )
+            if padded and last:
+                e, o = load(s.unused, k), load(s.unused, k + WORDS)
+                e0, e1, e2, e3 = maximum(e0, e), maximum(e1, e), maximum(e2, e), maximum(e3, e)
+                o0, o1, o2, o3 = maximum(o0, o), maximum(o1, o), maximum(o2, o), maximum(o3, o)
+            store(along, k, e0)
+            store(along, k + WORDS, o0)
+            store(left, at_left + k, e1)
+            store(left, at_left + k + WORDS, o1)
+            store(straight, at + k, e2)
+            store(straight, at + k + WORDS, o2)
+            store(right, at_right + k, e3)
+            store(right, at_right + k + WORDS, o3)
+            low = minimum(low, minimum(e0, o0))
+            low_left = minimum(low_left, minimum(e1, o1))
+            low_straight = minimum(low_straight, minimum(e2, o2))
+            low_right = minimum(low_right, minimum(e3, o3))
+            t_even, t_odd = e0, o0
+            if back:
+                t_even = add_saturated(load(totals, at + k), e0)
+                t_odd = add_saturated(load(totals, at + k + WORDS), o0)
+            store(totals, at + k, add_saturated(add_saturated(add_saturated(t_even, e1), e2), e3))
+            store(totals, at + k + WORDS, add_saturated(add_saturated(add_saturated(t_odd, o1), o2), o3))
+        least = least_lane(low)
+        s.least[0, x_left] = least_lane(low_left)
+        s.least[1, x] = least_lane(low_straight)
+        s.least[2, x_right] = least_lane(low_right)
+
+
+@compiled(allocates=False)
+def _place(d: int) -> int:
+    """Index of a disparity."""
+    return d // BYTES * BYTES + d % 2 * WORDS + d % BYTES // 2
+
+
+@compiled(allocates=False)
+def _first_place(totals: I16, least: np.int16) -> int:
+    """The first disparity with the lowest sum."""
+    lowest = repeat(least)
+    for k in range(0, totals.size, BYTES):
+        even = first_lane(equal(load(totals, k), lowest))
+        odd = first_lane(equal(load(totals, k + WORDS), lowest))
+        if even < 64 or odd < 64:
+            return int(k + min(2 * even, 2 * odd + 1))
+    return 0
+
+
+@compiled(allocates=False)
+def _is_unique(totals: I16, d: int, least: np.int16, search: BlockSearch) -> bool:
+    """Whether no sum but those of d - 1, d and d + 1 is so near to the lowest."""
+    share = 100 - search.uniqueness
+    if share == 0:
+        return bool(least <= 0)
+    limit = np.floor((100.0 * least - 1.0) / share)  # exact: a fraction of it is at least 1/100
+    if limit >= LARGEST:
+        return False
+    limit16 = np.int16(max(limit, _LEAST))
+    limits = repeat(limit16)
+    near, own = 0, 1
+    for k in range(0, totals.size, BYTES):
+        near += bit_count(at_most(load(totals, k), limits))
+        near += bit_count(at_most(load(totals, k + WORDS), limits))
+    if d > 0:
+        own += int(totals[_place(d - 1)] <= limit16)
+    if d < search.num_disparities - 1:
+        own += int(totals[_place(d + 1)] <= limit16)
+    return near <= own
+
+
+@compiled(allocates=False)
+def _take_winner(totals: I16, x: int, least: np.int16, search: BlockSearch, s: BlockScratch, disparity: I16) -> None:
+    if least == LARGEST:
+        return
+    d = _first_place(totals, least)
+    if not _is_unique(totals, d, least, search):
+        return
+    x_right = x - d - search.min_disparity
+    if s.right_total[x_right] > least:
+        s.right_total[x_right] = least
+        s.right[x_right] = np.int16(d + search.min_disparity)
+    steps = d * _STEPS
+    if 0 < d < search.num_disparities - 1:
+        before, after = int(totals[_place(d - 1)]), int(totals[_place(d + 1)])
+        curvature = max(before + after - 2 * int(least), 1)
+        steps += int(((before - after) * _STEPS + curvature) / (2 * curvature))  # exact, rounded to 0
+    disparity[x] = np.int16(steps + search.min_disparity * _STEPS)
+
+
+@compiled(allocates=False)
+def _select_winners(search: BlockSearch, s: BlockScratch, windows: I16, totals: I16, disparity: I16) -> None:
+    """Disparities of a row from the sums over all paths; the path from the right is added to those of one way."""
+    count, width = s.along.size, totals.size // s.along.size
+    padded = count > search.num_disparities
+    along, total = s.along, s.total
+    invalid = np.int16((search.min_disparity - 1) * _STEPS)
+    disparity[:] = invalid
+    s.right[:] = invalid
+    s.right_total[:] = LARGEST
+    along[:] = 0
+    top, P1 = repeat(LARGEST), repeat(search.P1)
+    least = _ZERO
+    for i in range(width):
+        x = width - 1 - i
+        at = x * count
+        delta = repeat(np.int16(least + search.P2))
+        low, lowest, before = top, top, top
+        even = load(along, 0)
+        for k in range(0, count, BYTES):
+            t_even, t_odd = load(totals, at + k), load(totals, at + k + WORDS)
+            if not search.both_ways:
+                last = k + BYTES == count
+                c_even, c_odd = load(windows, at + k), load(windows, at + k + WORDS)
+                e, o, before, even = _step(along, k, last, even, before, delta, P1, c_even, c_odd)
+                if padded and last:
+                    e, o = maximum(e, load(s.unused, k)), maximum(o, load(s.unused, k + WORDS))
+                store(along, k, e)
+                store(along, k + WORDS, o)
+                low = minimum(low, minimum(e, o))
+                t_even, t_odd = add_saturated(t_even, e), add_saturated(t_odd, o)
+            store(total, k, t_even)
+            store(total, k + WORDS, t_odd)
+            lowest = minimum(lowest, minimum(t_even, t_odd))
+        least = least_lane(low)
+        _take_winner(total, search.begin + x, least_lane(lowest), search, s, disparity)
+
+
+@compiled(allocates=False)
+def _disagrees(x: int, d: int, search: BlockSearch, right: I16) -> bool:
+    at = x - d
+    if at < 0 or at >= right.size or right[at] < search.min_disparity:
+        return False
+    return bool(abs(int(right[at]) - d) > search.tolerance)
+
+
+@compiled(allocates=False)
+def _check_left_right(search: BlockSearch, s: BlockScratch, disparity: I16) -> None:
+    """Invalidate disparities that the right pixels of both neighboring whole disparities contradict."""
+    invalid = np.int16((search.min_disparity - 1) * _STEPS)
+    for x in range(search.begin, disparity.size):
+        steps = int(disparity[x])
+        if steps != invalid:
+            lower, upper = steps >> 4, (steps + _STEPS - 1) >> 4
+            if _disagrees(x, lower, search, s.right) and _disagrees(x, upper, search, s.right):
+                disparity[x] = invalid
+
+
+@compiled(allocates=False)
+def _sum_windows(left: U8, right: U8, y: int, known: int, search: BlockSearch, s: BlockScratch) -> int:
+    """Sums over the windows of image row ``y``, after those of the row before.
+
+    Args:
+        known: number of image rows with costs; the new number is returned.
+    """
+    height, ring, r = len(left), len(s.pixels) - 1, search.radius
+    total, before = s.windows[y % len(s.windows)], s.windows[max(y - 1, 0) % len(s.windows)]
+    if y == 0:
+        total[:] = search.P2
+    for k in range(y + r if y else -r, y + r + 1):  # rows that enter
+        row = min(max(k, 0), height - 1)
+        costs, leaves = s.pixels[row % ring], s.pixels[max(y - r - 1, 0) % ring if y else ring]
+        new = row == known
+        if new:
+            feature_rows(left, right, row, search.cap, s.own, s.features)
+            pixel_costs(s.features, search.begin, search.min_disparity, s.along.size, costs)
+            known += 1
+        move_windows(costs, leaves, new, r, s.sums, before, total)
+    return known
+
+
+_SEARCH = numba.types.NamedTuple([int64] * 5 + [int16, int16, int64, int64, numba.boolean], BlockSearch)
+_SCRATCH = numba.types.NamedTuple(
+    [
+        *(uint8[::1], uint8[:, :, ::1], uint8[:, ::1], uint16[:, ::1], int16[:, ::1], int16[:, ::1]),
+        *(int16[::1], int16[:, ::1], int16[:, ::1], int16[::1], int16[::1], int16[::1], int16[::1]),
+    ],
+    BlockScratch,
+)
+
+
+@compiled(numba.void(READ_ONLY_U8, READ_ONLY_U8, _SEARCH, _SCRATCH, int16[:, ::1]), allocates=False)
+def match_blocks(left: U8, right: U8, search: BlockSearch, scratch: BlockScratch, disparity_x16: I16) -> None:
+    """Disparities in 1/16 px, int16 (H, W); ``16 (min_disparity - 1)`` where there is none."""
+    s = scratch
+    height, known = len(left), 0
+    for back in range(1 + search.both_ways):
+        s.above[:] = 0
+        s.least[:] = 0
+        for t in range(height):
+            y = height - 1 - t if back else t
+            windows, totals = s.windows[y % len(s.windows)], s.totals[y % len(s.totals)]
+            if not back:
+                known = _sum_windows(left, right, y, known, search, s)
+            _sum_paths(t, back > 0, search, s, windows, totals)
+            if back or not search.both_ways:
+                _select_winners(search, s, windows, totals, disparity_x16[y])
+                _check_left_right(search, s, disparity_x16[y])
