@@ -190,6 +190,8 @@ def _add_function(digest: Any, function: Any, seen: set[int]) -> None:
     seen.add(id(function))
     code = function.__code__
     _add_code(digest, code, function.__doc__)
+    for cell in function.__closure__ or ():
+        _add_value(digest, cell.cell_contents, seen)
     for name in _names(code):
         if name in function.__globals__:
             digest.update(name.encode())
