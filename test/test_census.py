@@ -9,9 +9,20 @@ import numpy.typing as npt
 import pytest
 
 from stereo_depth_ros.core.types import U8
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS, NEUTRAL_COST, U64, census_rows, cost_rows
+from stereo_depth_ros.matching.costs.census import (
+    CENSUS_BITS,
+    CENSUS_PLANES,
+    LARGEST_COST,
+    MARGIN,
+    NEUTRAL_COST,
+    census_rows,
+    cost_rows,
+    empty_census,
+    padded_count,
+)
 
 I64 = npt.NDArray[np.int64]
+U64 = npt.NDArray[np.uint64]
 
 
 def census_by_definition(image: U8) -> U64:
@@ -70,21 +81,41 @@ def continued(raw: I64, max_disparity: int) -> I64:
     return raw
 
 
+def planes(codes: U64) -> U8:
+    """The buffer of the kernels for codes (..., H, W); noise in the margins, which are not read."""
+    buffer = empty_census(*codes.shape)
+    buffer[:] = np.random.default_rng(5).integers(0, 256, buffer.shape, np.uint8)
+    for plane in range(CENSUS_PLANES):
+        buffer[..., plane, MARGIN:-MARGIN] = codes >> np.uint64(8 * plane) & np.uint64(255)
+    return buffer
+
+
 def census(image: U8) -> U64:
-    codes = np.zeros(image.shape, np.uint64)
-    census_rows(0, len(image), image, codes)
+    """uint64 (H, W): the codes of the kernel as :func:`census_by_definition` has them."""
+    buffer = empty_census(*image.shape)
+    census_rows(0, len(image), image, buffer)
+    return codes_of(buffer)
+
+
+def codes_of(buffer: U8) -> U64:
+    codes = np.zeros((len(buffer), buffer.shape[2] - 2 * MARGIN), np.uint64)
+    for plane in range(CENSUS_PLANES):
+        bits = min(8, CENSUS_BITS - 8 * plane)
+        codes = codes << np.uint64(bits) | buffer[:, plane, MARGIN:-MARGIN].astype(np.uint64)
     return codes
 
 
 def costs(left: U64, right: U64, max_disparity: int, count: int, first: int = 0, last: int | None = None) -> U8:
     height, width = left.shape[-2:]
     last = height if last is None else last
-    raw, smooth = np.empty((width + 2, count), np.uint8), np.empty((3, width, count), np.uint8)
-    sums = np.empty(count, np.uint16)
-    cost = np.full((last - first, width, count), 255, np.uint8)
-    census = np.stack([left, right], axis=-3).reshape(-1, 2, height, width)  # of one pair, or of several
-    cost_rows(census, first, last, max_disparity, raw, sums, smooth, cost)
-    return cost
+    size = padded_count(count)
+    raw, smooth = np.empty((width + 2, size), np.uint8), np.empty((3, width, size), np.uint8)
+    sums = np.empty(size, np.uint16)
+    cost = np.full((last - first, width, size), 77, np.uint8)
+    census = planes(np.stack([left, right], axis=-3).reshape(-1, 2, height, width))  # of one pair, or of several
+    cost_rows(census, first, last, max_disparity, count, raw, sums, smooth, cost)
+    assert (cost[..., count:] == LARGEST_COST).all()
+    return cost[..., :count]
 
 
 @pytest.mark.parametrize("shape", [(13, 29), (1, 17), (9, 1), (2, 3)])
@@ -96,10 +127,11 @@ def test_census_is_that_of_the_definition(shape: tuple[int, int], levels: int) -
 
 def test_census_of_some_rows_leaves_the_others() -> None:
     image = np.random.default_rng(1).integers(0, 256, (12, 15), np.uint8)
-    codes = np.full(image.shape, 7, np.uint64)
-    census_rows(4, 9, image, codes)
-    np.testing.assert_array_equal(codes[4:9], census_by_definition(image)[4:9])
-    assert (codes[:4] == 7).all() and (codes[9:] == 7).all()
+    buffer = empty_census(*image.shape)
+    buffer[:] = 7
+    census_rows(4, 9, image, buffer)
+    np.testing.assert_array_equal(codes_of(buffer[4:9]), census_by_definition(image)[4:9])
+    assert (buffer[:4] == 7).all() and (buffer[9:] == 7).all() and (buffer[..., :MARGIN] == 7).all()
 
 
 def test_census_ignores_gain_and_offset_and_takes_read_only_images() -> None:

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -164,3 +165,11 @@ def test_code_is_read_without_the_tables_of_the_compiler(folder: Path) -> None:
     code = f"{RUN}\nimport sys\nprint('numba.typed.typedlist' in sys.modules)"
     assert run(folder, code)[-1] == "True"
     assert run(folder, code) == ["8 6", "False"]
+
+
+def test_values_that_a_function_was_made_with_are_part_of_the_code() -> None:
+    def adds(step: int) -> Callable[[int], int]:
+        return lambda value: value + step
+
+    assert kernels._fingerprint(adds(1), "") == kernels._fingerprint(adds(1), "")
+    assert kernels._fingerprint(adds(1), "") != kernels._fingerprint(adds(2), "")

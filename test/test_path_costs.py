@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from stereo_depth_ros.core.types import U8
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS
+from stereo_depth_ros.matching.costs.census import CENSUS_BITS, LARGEST_COST, padded_count
 from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST, path_step, start_path, step_row
 
 I64 = npt.NDArray[np.int64]
@@ -36,34 +36,40 @@ def path_by_definition(cost: I64, image: U8, P1: int, P2: I64, dy: int, dx: int)
     return path
 
 
-def padded(shape: tuple[int, ...], P1: int) -> U8:
-    """Path costs to be written, with the elements at the ends that never win."""
-    return np.full((*shape[:-1], shape[-1] + 2), LARGEST_PATH_COST - P1, np.uint8)
+def filled(costs: I64) -> U8:
+    """Costs (..., K) with those that fill the last vector."""
+    count = costs.shape[-1]
+    size = padded_count(count)
+    whole = np.full((*costs.shape[:-1], size), LARGEST_COST, np.uint8)
+    whole[..., :count] = costs
+    return whole
 
 
-@pytest.mark.parametrize("count", [1, 2, 37, 64])
+@pytest.mark.parametrize("count", [1, 2, 37, 64, 100, 192])
 @pytest.mark.parametrize(("P1", "P2"), [(1, 192), (96, 97), (30, 150), (5, 5)])
-def test_steps_along_a_path(count: int, P1: int, P2: int) -> None:
+@pytest.mark.parametrize("in_place", [False, True])
+def test_steps_along_a_path(count: int, P1: int, P2: int, in_place: bool) -> None:
     rng = np.random.default_rng(count)
-    costs = rng.choice([0, 1, 20, 31, CENSUS_BITS], (150, count), p=[0.2, 0.1, 0.2, 0.1, 0.4]).astype(np.uint8)
-    before, after = padded((count,), P1), padded((count,), P1)
-    least = start_path(costs[0], before)
+    costs = rng.choice([0, 1, 20, 31, CENSUS_BITS], (150, count), p=[0.2, 0.1, 0.2, 0.1, 0.4])
+    before, after = np.zeros((2, padded_count(count)), np.uint8)
+    least = start_path(filled(costs[0]), before)
     expected = costs[0].astype(np.int64)
     for cost in costs[1:]:
         assert least == expected.min()
-        np.testing.assert_array_equal(before[1:-1], expected)
-        least = path_step(before, least, cost, np.uint8(P1), np.uint8(P2), after)
+        np.testing.assert_array_equal(before, filled(expected))
+        least = path_step(
+            before, np.uint8(least), filled(cost), np.uint8(P1), np.uint8(P2), before if in_place else after
+        )
         expected = step_by_definition(expected, cost.astype(np.int64), P1, P2)
-        before, after = after, before
-        assert before[0] == before[-1] == LARGEST_PATH_COST - P1
+        if not in_place:
+            before, after = after, before
 
 
 def test_a_step_at_the_largest_penalties_fills_8_bits() -> None:
     P1, P2 = 1, LARGEST_PATH_COST - CENSUS_BITS - 1
-    before, after = padded((5,), P1), padded((5,), P1)
-    before[1:-1] = [0, 255 - P1, 255 - P1, 255 - P1, 255 - P1]
-    path_step(before, np.uint8(0), np.full(5, CENSUS_BITS, np.uint8), np.uint8(P1), np.uint8(P2), after)
-    np.testing.assert_array_equal(after[1:-1], [62, 63, 254, 254, 254])
+    path = filled(np.array([0, 255 - P1, 255 - P1, 255 - P1, 255 - P1]))
+    path_step(path, np.uint8(0), filled(np.full(5, CENSUS_BITS)), np.uint8(P1), np.uint8(P2), path)
+    np.testing.assert_array_equal(path, filled(np.array([62, 63, 254, 254, 254])))
 
 
 @pytest.mark.parametrize("shift", [0, 1, -1])
@@ -71,15 +77,14 @@ def test_rows_of_an_image(shift: int) -> None:
     height, width, count, P1 = 6, 11, 16, 20
     rng = np.random.default_rng(4)
     image = rng.integers(0, 256, (height, width), np.uint8)
-    cost = rng.integers(0, CENSUS_BITS + 1, (height, width, count), np.uint8)
+    cost = rng.integers(0, CENSUS_BITS + 1, (height, width, count))
     P2 = np.linspace(170, P1, 256).astype(np.uint8)
-    path, least = padded(cost.shape, P1), np.zeros((height, width), np.uint8)
+    path, least = np.zeros_like(filled(cost)), np.zeros((height, width), np.uint8)
     for y in range(height):
         above = max(y - 1, 0)
         columns = shift if y > 0 else width  # further than the row is long: all paths begin
-        step_row(
-            image[y], image[above], columns, cost[y], np.uint8(P1), P2, path[above], least[above], path[y], least[y]
-        )
+        rows = (image[y], image[above], columns, filled(cost[y]))
+        step_row(*rows, np.uint8(P1), P2, path[above], least[above], path[y], least[y])
     expected = path_by_definition(cost.astype(np.int64), image, P1, P2.astype(np.int64), 1, shift)
-    np.testing.assert_array_equal(path[..., 1:-1], expected)
+    np.testing.assert_array_equal(path, filled(expected))
     np.testing.assert_array_equal(least, expected.min(axis=2))

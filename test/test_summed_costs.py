@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Winners, seconds, the sub-pixel fit and the left-right check against closed forms and values computed by hand."""
+"""Winners, seconds and the left-right check of keys against values computed by hand."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ from stereo_depth_ros.matching.selection.summed_costs import (
     least_key,
     left_right_row,
     lower_keys,
-    make_keys,
     second_key,
-    subpixel,
 )
 
 
@@ -24,17 +22,6 @@ def keys_of(costs: list[int | None]) -> U32:
     """Keys of summed costs; NO_KEY for None."""
     keys = [NO_KEY if cost is None else (cost << 16) + k for k, cost in enumerate(costs)]
     return np.array(keys, np.uint32)
-
-
-def test_keys_hold_the_sum_and_the_index() -> None:
-    rng = np.random.default_rng(0)
-    totals = rng.integers(0, 7 * 255 + 1, 4096).astype(np.uint16)  # eight paths, all disparities
-    path = rng.integers(0, 256, 4098).astype(np.uint8)
-    totals[-1], path[-2] = 7 * 255, 255
-    keys = np.empty(4096, np.uint32)
-    make_keys(totals, path, np.arange(4096, dtype=np.uint32), keys)
-    np.testing.assert_array_equal(keys >> 16, totals.astype(int) + path[1:-1])
-    np.testing.assert_array_equal(keys & 0xFFFF, np.arange(4096))
 
 
 def test_of_equal_costs_the_first_wins() -> None:
@@ -48,37 +35,6 @@ def test_second_is_at_least_two_away(count: int) -> None:
     for best in range(count):
         others = [keys[k] for k in range(count) if abs(k - best) >= 2]
         assert second_key(keys, np.arange(count, dtype=np.uint32), best) == min(others, default=NO_KEY)
-
-
-@pytest.mark.parametrize(
-    ("costs", "u"),
-    [
-        ([9, 5, 9], 0.0),
-        ([9, 5, 7], 0.25),
-        ([7, 5, 9], -0.25),
-        ([9, 5, 5], 0.5),  # halfway, which keeps its place
-        ([105, 5, 85], 0.1),
-        ([2000, 0, 1000], 0.25),
-        ([5, 5, 5], 0.0),
-    ],
-)
-def test_subpixel_is_the_intersection_corrected_for_pixel_locking(costs: list[int | None], u: float) -> None:
-    expected = u * (1 + (1 - 4 * u**2) / 4)
-    assert subpixel(keys_of([60, *costs, 60]), 2) == pytest.approx(expected, abs=1e-12)
-
-
-def test_subpixel_keeps_order_and_stays_in_the_pixel() -> None:
-    # From a valley in the middle to one that the next index shares.
-    parts = [subpixel(keys_of([150, 50, after]), 1) for after in range(150, 49, -1)]
-    assert parts[0] == 0 and parts[-1] == 0.5
-    assert (np.diff(parts) > 0).all()
-
-
-@pytest.mark.parametrize(
-    ("costs", "best"), [([1, 2, 3], 0), ([3, 2, 1], 2), ([None, 1, 2], 1), ([2, 1, None], 1), ([1], 0)]
-)
-def test_no_subpixel_without_both_neighbors(costs: list[int | None], best: int) -> None:
-    assert subpixel(keys_of(costs), best) == 0
 
 
 def test_right_pixels_keep_the_smallest_key() -> None:

@@ -21,19 +21,28 @@ __all__ = [
     "equal",
     "even_words",
     "first_lane",
+    "join_words",
     "least_lane",
     "load",
     "maximum",
+    "mean",
     "minimum",
+    "multiply",
+    "multiply_high",
     "next_lanes",
     "odd_words",
+    "ones",
     "previous_lanes",
     "quarter",
+    "ramp",
     "repeat",
     "signed",
     "store",
     "subtract",
     "subtract_saturated",
+    "union",
+    "where_less",
+    "xor",
 ]
 
 ir = cgutils.ir  # llvmlite's, which comes with numba
@@ -79,11 +88,11 @@ def _call(builder: Any, name: str, result: Any, *arguments: Any) -> Any:
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, full_name), arguments)
 
 
-def _elementwise(operation: Callable[..., Any]) -> Any:
+def _elementwise(operation: Callable[..., Any], only: Lanes | None = None) -> Any:
     """An intrinsic of two vectors of one type, whose result has that type."""
 
     def typing(_context: Any, a: Any, b: Any) -> Any:
-        if not isinstance(a, Lanes) or a != b:
+        if not isinstance(a, Lanes) or a != b or (only and a != only):
             return None
 
         def generate(_target: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
@@ -109,6 +118,18 @@ def _by_sign(name: str) -> Any:
     return intrinsic(typing)
 
 
+def _multiply_high(builder: Any, a: Any, b: Any) -> Any:
+    wide = _vector(32, WORDS)
+    product = builder.mul(builder.zext(a, wide), builder.zext(b, wide))
+    return builder.trunc(builder.lshr(product, _constant(wide, 16)), a.type)
+
+
+def _mean(builder: Any, a: Any, b: Any) -> Any:
+    wide = _vector(16, BYTES)
+    total = builder.add(builder.add(builder.zext(a, wide), builder.zext(b, wide)), _constant(wide, 1))
+    return builder.trunc(builder.lshr(total, _constant(wide, 1)), a.type)
+
+
 def _shuffle(builder: Any, a: Any, b: Any, lanes: range) -> Any:
     return builder.shuffle_vector(a, b, _constant(_vector(32, a.type.count), lanes))
 
@@ -116,9 +137,14 @@ def _shuffle(builder: Any, a: Any, b: Any, lanes: range) -> Any:
 minimum = _by_sign("min")
 maximum = _by_sign("max")
 add = _elementwise(lambda builder, a, b: builder.add(a, b))  # modulo 256 or 65536
+multiply = _elementwise(lambda builder, a, b: builder.mul(a, b))
 subtract = _elementwise(lambda builder, a, b: builder.sub(a, b))
 add_saturated = _by_sign("add.sat")
 subtract_saturated = _by_sign("sub.sat")
+xor = _elementwise(lambda builder, a, b: builder.xor(a, b))
+union = _elementwise(lambda builder, a, b: builder.or_(a, b))  # of bits
+multiply_high = _elementwise(_multiply_high, only=_U16)  # (a b) >> 16
+mean = _elementwise(_mean, only=_U8)  # (a + b + 1) >> 1
 
 # Of a vector that follows another one in memory: lanes i - 1, with the last one of the vector before, given second,
 previous_lanes = _elementwise(
@@ -282,3 +308,51 @@ def signed(_context: Any, vector: Any) -> Any:
         return arguments[0]
 
     return _I16(vector), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def ramp(_context: Any) -> Any:
+    """Words 0, 2, 4 ... 62: the indices of the even bytes."""
+
+    def generate(_target: Any, _builder: Any, _signature: Any, _arguments: Any) -> Any:
+        return _constant(_vector(16), range(0, 2 * WORDS, 2))
+
+    return _U16(), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def ones(_context: Any, vector: Any) -> Any:
+    """The number of set bits of each lane."""
+    if not isinstance(vector, Lanes):
+        return None
+
+    def generate(_target: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return _call(builder, "ctpop", arguments[0].type, *arguments)
+
+    return vector(vector), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def where_less(_context: Any, a: Any, b: Any, then: Any, otherwise: Any) -> Any:
+    """Lanes of ``then`` where a < b, and of ``otherwise`` elsewhere."""
+    if not isinstance(a, Lanes) or not a == b == then == otherwise:
+        return None
+
+    def generate(_target: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        compare = builder.icmp_signed if a.signed else builder.icmp_unsigned
+        return builder.select(compare("<", *arguments[:2]), *arguments[2:])
+
+    return a(a, b, then, otherwise), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def join_words(_context: Any, even: Any, odd: Any) -> Any:
+    """The bytes of words below 256: the inverse of :func:`even_words` and :func:`odd_words`."""
+    if even != _U16 or odd != _U16:
+        return None
+
+    def generate(_target: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        high = builder.shl(arguments[1], _constant(_vector(16), 8))
+        return builder.bitcast(builder.or_(arguments[0], high), _vector(8))
+
+    return _U8(even, odd), generate

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Selection from summed costs: winner, second best, sub-pixel fit, left-right check.
+"""Selection by keys of summed costs: winner, second best, left-right check.
 
 A key has a summed cost in the upper 16 bits of a uint32 and its index in the lower ones: the smallest key gives both
 the lowest cost and its index, of equal costs the first.
@@ -16,28 +16,14 @@ import numpy.typing as npt
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import U8, Reason
 
-__all__ = ["NO_KEY", "U32", "least_key", "left_right_row", "lower_keys", "make_keys", "second_key", "subpixel"]
+__all__ = ["NO_KEY", "U32", "least_key", "left_right_row", "lower_keys", "second_key"]
 
 U16: TypeAlias = npt.NDArray[np.uint16]
 U32: TypeAlias = npt.NDArray[np.uint32]
 
 NO_KEY = np.uint32(2**32 - 1)
-_ONE, _TWO, _SHIFT, _INDEX = np.uint32(1), np.uint32(2), np.uint32(16), np.uint32(0xFFFF)
+_ONE, _TWO, _INDEX = np.uint32(1), np.uint32(2), np.uint32(0xFFFF)
 _LEFT_RIGHT = np.uint8(Reason.LEFT_RIGHT)
-
-
-@compiled(allocates=False)
-def make_keys(totals: U16, path: U8, ramp: U32, keys: U32) -> None:
-    """Keys of a pixel from its totals and the last path.
-
-    Args:
-        totals: uint16 (K,), the sum of the other paths.
-        path: uint8 (K + 2,), path costs with one more element at either end.
-        ramp: uint32 (K,), 0, 1, 2 ...
-        keys: uint32 (K,), written.
-    """
-    for k in range(keys.size):
-        keys[k] = np.uint32(np.uint32(np.uint32(totals[k]) + np.uint32(path[k + 1])) << _SHIFT) | ramp[k]
 
 
 @compiled(allocates=False)
@@ -64,24 +50,6 @@ def lower_keys(keys: U32, right_keys: U32) -> None:
     """Update the smallest keys of the right pixels with those of a left pixel."""
     for k in range(keys.size):
         right_keys[k] = min(right_keys[k], keys[k])
-
-
-@compiled(allocates=False)
-def subpixel(keys: U32, best: int) -> float:
-    """Sub-pixel part of the index, -0.5..0.5: the intersection u of two lines of opposite slope through three costs.
-
-    u is biased towards whole pixels (pixel locking); u (1 + (1 - 4 u^2) / 4) compensates it on average (an
-    interpolation function after Haller and Nedevschi, "Design of interpolation functions for subpixel-accuracy
-    stereo-vision systems", TIP 2012; with a factor fitted to a histogram of real disparities).
-    """
-    if best == 0 or best == keys.size - 1 or keys[best - 1] == NO_KEY or keys[best + 1] == NO_KEY:
-        return 0.0
-    before, here, after = keys[best - 1] >> _SHIFT, keys[best] >> _SHIFT, keys[best + 1] >> _SHIFT
-    height = np.float64(max(before, after)) - np.float64(here)
-    if height <= 0:
-        return 0.0
-    u = (np.float64(before) - np.float64(after)) / (2 * height)
-    return u * (1.25 - u * u)
 
 
 @compiled(allocates=False)

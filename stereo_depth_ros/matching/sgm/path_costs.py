@@ -6,16 +6,30 @@ L(p, d) = C(p, d) + min(L(p-r, d), L(p-r, d +- 1) + P1, min_k L(p-r, k) + P2) - 
 (Hirschmueller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008, equation 13).
 
 L <= max C + P2, so with max C + P1 + P2 <= 255 all intermediate values fit in 8 bits, which doubles the number
-per vector register compared to 16 bits. Arrays of path costs have one more element at either end, 255 - P1, which is
-never the minimum.
+per vector register compared to 16 bits. A pixel has K path costs, whole vectors; those that only fill a vector have
+the cost 255, which stays 255.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.core.vectors import (
+    BYTES,
+    add_saturated,
+    least_lane,
+    load,
+    minimum,
+    next_lanes,
+    previous_lanes,
+    repeat,
+    store,
+    subtract,
+)
 
 __all__ = ["LARGEST_PATH_COST", "path_step", "start_path", "step_row"]
 
@@ -24,33 +38,47 @@ _TOP = np.uint8(LARGEST_PATH_COST)
 
 
 @compiled(allocates=False)
+def _step(below: Any, here: Any, above: Any, least: Any, P1: Any, P2: Any, cost: Any) -> Any:
+    """A step of a vector of path costs, between the vectors of the disparities before and behind it."""
+    near = add_saturated(minimum(previous_lanes(here, below), next_lanes(here, above)), P1)
+    return add_saturated(minimum(subtract(minimum(here, near), least), P2), cost)
+
+
+@compiled(allocates=False)
 def path_step(before: U8, least: np.uint8, cost: U8, P1: np.uint8, P2: np.uint8, after: U8) -> np.uint8:
     """One step of all disparities of a pixel; returns the minimum of the new path costs.
 
     Args:
-        before: uint8 (K + 2,), path costs of the previous pixel.
+        before: uint8 (K,), path costs of the previous pixel.
         least: their minimum.
         cost: uint8 (K,), matching costs of this pixel.
-        after: uint8 (K + 2,), receives the path costs of this pixel.
+        after: uint8 (K,), receives the path costs of this pixel; may be ``before``.
     """
-    best = _TOP
-    for k in range(cost.size):
-        near = np.uint8(min(before[k], before[k + 2]) + P1)
-        lower = min(np.uint8(min(before[k + 1], near) - least), P2)
-        total = np.uint8(lower + cost[k])
-        after[k + 1] = total
-        best = min(best, total)
-    return best
+    none = repeat(_TOP)
+    least_before, step, jump = repeat(least), repeat(P1), repeat(P2)
+    last = cost.size - BYTES
+    best, below, here = none, none, load(before, 0)
+    for k in range(0, last, BYTES):
+        above = load(before, k + BYTES)
+        total = _step(below, here, above, least_before, step, jump, load(cost, k))
+        store(after, k, total)
+        best = minimum(best, total)
+        below = here
+        here = above
+    total = _step(below, here, none, least_before, step, jump, load(cost, last))
+    store(after, last, total)
+    return least_lane(minimum(best, total))  # type: ignore[no-any-return]
 
 
 @compiled(allocates=False)
 def start_path(cost: U8, after: U8) -> np.uint8:
     """The first pixel of a path: its matching costs; returns their minimum."""
-    best = _TOP
-    for k in range(cost.size):
-        after[k + 1] = cost[k]
-        best = min(best, cost[k])
-    return best
+    best = repeat(_TOP)
+    for k in range(0, cost.size, BYTES):
+        here = load(cost, k)
+        store(after, k, here)
+        best = minimum(best, here)
+    return least_lane(best)  # type: ignore[no-any-return]
 
 
 @compiled(allocates=False)
@@ -72,7 +100,7 @@ def step_row(
         image, image_before: uint8 (W,), this and the previous row of the left image.
         cost: uint8 (W, K), matching costs of this row.
         P2: uint8 (256,), the penalty by the gray difference of the two pixels.
-        before, least_before: uint8 (W, K + 2) and (W,), path costs of the previous row and their minimum per pixel.
+        before, least_before: uint8 (W, K) and (W,), path costs of the previous row and their minimum per pixel.
         after, least_after: the same of this row, written.
     """
     width = image.size

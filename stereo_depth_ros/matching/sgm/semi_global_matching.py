@@ -14,7 +14,12 @@ from stereo_depth_ros.core.bands import core_count, run_bands
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8, MatchResult
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS, CENSUS_WINDOW, U64, census_rows
+from stereo_depth_ros.matching.costs.census import (
+    CENSUS_BITS,
+    CENSUS_WINDOW,
+    census_rows,
+    empty_census,
+)
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.filters.hole_filling import fill_holes
 from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter
@@ -79,15 +84,15 @@ class SemiGlobalMatcher(SerialMatcher):
         lowered = config.sgm_P2 * EDGE_GRAY_LEVELS / (EDGE_GRAY_LEVELS + np.arange(256))
         self._search = Search(
             max_disparity=config.max_disparity,
+            disparities=config.num_disparities,
             uniqueness=UNIQUENESS_SHARE * config.uniqueness_ratio / 100,
             tolerance=max(config.disp12_max_diff, 1),
             P1=np.uint8(config.sgm_P1),
             P2=np.maximum(lowered, config.sgm_P1).astype(np.uint8),
-            ramp=np.arange(config.num_disparities, dtype=np.uint32),
             approach_rows=APPROACH_ROWS,
         )
         self.pair_count = config.temporal_window or 1
-        self._census: U64 = np.empty((0, 2, 0, 0), np.uint64)
+        self._shape = (0, 0)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         return self._match_pairs([(left, right)])
@@ -98,7 +103,7 @@ class SemiGlobalMatcher(SerialMatcher):
         disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
         margin = np.empty(left.shape, np.float32)
-        if self._census.shape[2:] != left.shape:
+        if self._shape != left.shape:
             self._allocate(*left.shape)
         census = self._census[: len(pairs)]
         for pair, codes in zip(pairs, census, strict=True):
@@ -127,7 +132,8 @@ class SemiGlobalMatcher(SerialMatcher):
         self._scratch = Scratch.allocate(bands, min(highest + 2 * approach, height), width, self.config)
         self._search = self._search._replace(approach_rows=approach)
         self._coarse: I16 = np.zeros((height, width), np.int16)
-        self._census = np.empty((self.pair_count, 2, height, width), np.uint64)
+        self._census = empty_census(self.pair_count, 2, height, width)
+        self._shape = (height, width)
 
 
 def _mean_image(images: Sequence[U8]) -> U8:
