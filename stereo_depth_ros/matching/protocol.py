@@ -12,6 +12,7 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.config.matchers import matchers_with
 from stereo_depth_ros.core.errors import ConfigError, ImageError
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 
 __all__ = ["Images", "Matcher", "check_buffer", "check_images", "check_pair", "check_search"]
@@ -55,7 +56,18 @@ class Matcher(Protocol):
     def engine(self) -> str:
         """What runs its network, for the log; empty for a method without one."""
 
-    def match(self, left: U8, right: U8, out: F32 | None = None, earlier: Sequence[Images] = ()) -> MatchResult:
+    @property
+    def takes_prior(self) -> bool:
+        """Whether it uses the disparities that another sensor expects."""
+
+    def match(
+        self,
+        left: U8,
+        right: U8,
+        out: F32 | None = None,
+        earlier: Sequence[Images] = (),
+        prior: DisparityPrior | None = None,
+    ) -> MatchResult:
         """Disparities of the left image. They depend on the arguments alone, not on the calls before.
 
         Args:
@@ -64,9 +76,11 @@ class Matcher(Protocol):
                 copy, so that it can be reused while results are kept for their confidence.
             earlier: the pairs before this one, the oldest first, of the same size; the last ``pair_count`` - 1 of them
                 are used. With fewer, the pairs that there are are matched together.
+            prior: disparities that another sensor expects in the left image, of its size; None without.
 
         Raises:
             ImageError: wrong dtype or shape, or too small for the window and the search range.
+            ConfigError: a prior, which the method does not take.
         """
 
 

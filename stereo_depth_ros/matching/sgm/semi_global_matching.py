@@ -13,6 +13,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import core_count, run_bands
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8, MatchResult
 from stereo_depth_ros.matching.costs.census import (
     CENSUS_BITS,
@@ -20,6 +21,7 @@ from stereo_depth_ros.matching.costs.census import (
     census_rows,
     empty_census,
 )
+from stereo_depth_ros.matching.costs.prior import prior_costs
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.filters.hole_filling import fill_holes
 from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter
@@ -74,6 +76,7 @@ class SemiGlobalMatcher(SerialMatcher):
     name = "sgm"
     step_px = 1 / STEPS_PER_PX
     support_px = CENSUS_WINDOW
+    takes_prior = True
 
     def __init__(self, config: MatchingConfig) -> None:
         """Raise ConfigError if the penalties contradict each other."""
@@ -95,9 +98,9 @@ class SemiGlobalMatcher(SerialMatcher):
         self._shape = (0, 0)
 
     def _match(self, left: U8, right: U8) -> MatchResult:
-        return self._match_pairs([(left, right)])
+        return self._match_pairs([(left, right)], None)
 
-    def _match_pairs(self, pairs: Sequence[Images]) -> MatchResult:
+    def _match_pairs(self, pairs: Sequence[Images], prior: DisparityPrior | None) -> MatchResult:
         left, right = pairs[-1]
         check_pair(left, right, self, partial=True)
         disparity_px = np.empty(left.shape, np.float32)
@@ -111,7 +114,8 @@ class SemiGlobalMatcher(SerialMatcher):
                 run_bands(census_rows, len(image), image, own)
         output = Output(disparity_px, self._coarse, reasons, margin)
         bands = len(self._scratch.raw)
-        given = (_mean_image([pair[0] for pair in pairs]), census, self._search)
+        image = _mean_image([pair[0] for pair in pairs])
+        given = (image, census, prior_costs(prior, image), self._search)
         run_bands(match_bands, bands, bands, self._strips, *given, self._scratch, output, min_rows=1)
         self._speckle_filter(self._coarse, reasons)
         run_bands(_reject_rows, len(left), reasons, disparity_px, margin)

@@ -13,6 +13,7 @@ import numpy as np
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.errors import ConfigError
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import U8, MatchResult
 from stereo_depth_ros.matching.filters.speckle_filter import SpeckleFilter
 from stereo_depth_ros.matching.local_consistency import local_consistency
@@ -90,9 +91,9 @@ class SpaceTimeMatcher(SerialMatcher):
         )
 
     def _match(self, left: U8, right: U8) -> MatchResult:
-        return self._match_pairs([(left, right)])
+        return self._match_pairs([(left, right)], None)
 
-    def _match_pairs(self, pairs: Sequence[Images]) -> MatchResult:
+    def _match_pairs(self, pairs: Sequence[Images], prior: DisparityPrior | None) -> MatchResult:
         shape = pairs[-1][0].shape
         check_pair(*pairs[-1], self, partial=True)
         left, right = (self._extended([pair[side] for pair in pairs]) for side in (0, 1))
