@@ -13,9 +13,9 @@ import numpy.typing as npt
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, F64, U8, Frame, MatchResult, Reason
+from stereo_depth_ros.matching.features.corner_checks import agree_with_neighbors, check_corners
 from stereo_depth_ros.matching.features.corners import detect_orb, detect_sift, squared_distances_of_pairs
 from stereo_depth_ros.matching.features.line_segments import common_rows, detect_segments, line_similarity
-from stereo_depth_ros.matching.features.lucas_kanade import refine_right_points
 from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
 
@@ -26,7 +26,6 @@ Indices: TypeAlias = npt.NDArray[np.intp]
 MAX_ROW_DIFFERENCE_PX = 1.0
 MAX_CORNERS = 4000  # per image, the strongest
 FAST_THRESHOLD = 10  # with the default of 20, dark scenes have no corners
-REFINEMENT_WINDOW_PX = 11
 MIN_COMMON_ROWS = 3
 MIN_COMMON_SHARE = 0.5  # of the rows of the shorter of two segments
 # Largest cost of a match: distance of SIFT descriptors (up to 724), bits of ORB descriptors (256), squared standard
@@ -91,8 +90,9 @@ class FeatureMatcher(SerialMatcher):
     for lines 1 / S, S being :func:`line_similarity`. The confidence is 1 minus the cost over the lowest cost elsewhere,
     or over the largest cost allowed if that is lower; costs of less than a tenth of that are noise.
 
-    Corners have the sub-pixel positions of their detector. ORB corners are at whole pixels: the right ones are refined
-    by the gray values around the left ones (Lucas and Kanade 1981). Matched lines have a disparity in each common row.
+    Left corners have the positions of their detector, right ones are refined along the row and checked
+    (:func:`check_corners`), and corners must agree with their neighbors (:func:`agree_with_neighbors`, SPECKLE
+    otherwise). Matched lines have a disparity in each common row.
     Pixels without a feature are NO_MATCH. ``support_px`` is the approximate extent of the smallest descriptors.
     """
 
@@ -150,11 +150,23 @@ class FeatureMatcher(SerialMatcher):
         cost = np.sqrt(squared) if kind == "sift" else squared
         best, score, reasons = _select(i, j, cost, left_xy[i, 0] - right_xy[j, 0], len(left_xy), self.config)
         matches = FeatureMatches(left_xy[i[best]], right_xy[j[best]], score)
-        if kind == "orb":
-            matches = _refine(left, right, matches)
-            rows_px = np.abs(matches.left_xy - matches.right_xy)[:, 1]
-            matches = matches.take(self._searched(matches.disparity_px) & (rows_px <= max_row_difference_px))
-        return _without_repetition(matches), left_xy[reasons != 0], reasons[reasons != 0]
+        matches, why = self._checked(left, right, _without_repetition(matches))
+        lost = reasons != 0
+        lost_xy = np.concatenate((left_xy[lost], matches.left_xy[why != 0]))
+        return matches.take(why == 0), lost_xy, np.concatenate((reasons[lost], why[why != 0]))
+
+    def _checked(self, left: U8, right: U8, matches: FeatureMatches) -> tuple[FeatureMatches, U8]:
+        """The matches with refined right points, and the reasons of those that the checks reject, uint8 (N,)."""
+        search_px = self.config.min_disparity, self.config.max_disparity
+        unique = self.config.uniqueness_ratio > 0
+        checked = check_corners(left, right, matches.left_xy, matches.right_xy, search_px, unique)
+        reasons = checked.reasons
+        reasons[(reasons == 0) & ~self._searched(checked.disparity_px)] = Reason.NO_MATCH
+        kept = np.flatnonzero(reasons == 0)
+        agree = agree_with_neighbors(matches.left_xy[kept], checked.disparity_px[kept])
+        reasons[kept[~agree]] = Reason.SPECKLE
+        right_xy = np.stack((matches.left_xy[:, 0] - checked.disparity_px, matches.right_xy[:, 1]), axis=1)
+        return FeatureMatches(matches.left_xy, right_xy, matches.score), reasons
 
     def _find_lines(self, left: U8, right: U8) -> tuple[FeatureMatches, F64, U8]:
         config = self.config
@@ -228,14 +240,6 @@ def _cheapest(group: Indices, cost: F64) -> Indices:
     """For each group the index of its lowest cost, the first one of equal costs."""
     order = np.lexsort((cost, group))
     return order[np.unique(group[order], return_index=True)[1]]
-
-
-def _refine(left: U8, right: U8, matches: FeatureMatches) -> FeatureMatches:
-    """The right points refined by the windows around left and right points; without those that fail."""
-    right_xy, refined = refine_right_points(
-        left, right, matches.left_xy, matches.right_xy, window_px=REFINEMENT_WINDOW_PX, max_move_px=RIVAL_PX
-    )
-    return FeatureMatches(matches.left_xy, right_xy, matches.score).take(refined)
 
 
 def _without_repetition(matches: FeatureMatches) -> FeatureMatches:
