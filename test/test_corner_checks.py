@@ -36,7 +36,7 @@ def test_sub_pixel_disparities_whatever_gain_and_offset(disparity_px: float, sig
     x, y = np.rint(grid() - ([0, 0] if sign == 1 else [disparity_px, 0])).astype(np.int64).T.copy()
     images = (left, right) if sign == 1 else (right, left)
     expected_px = np.full(len(x), disparity_px + 0.8)
-    found = search_rows(*images, Pixels(x, y, y, expected_px), SEARCH_PX, sign)
+    found = search_rows(*images, Pixels(x, y, y, expected_px, np.zeros(len(x))), SEARCH_PX, sign)
     error = found.disparity_px - disparity_px
     assert np.isfinite(error).all()
     assert np.abs(np.median(error)) < 0.01 and np.median(np.abs(error)) < 0.03 and np.abs(error).max() < 0.2
@@ -52,8 +52,8 @@ def test_a_pixel_beside_a_depth_edge_has_the_disparity_of_its_own_surface() -> N
     right = np.where(columns < 90 - 15, near[:, 15 : WIDTH + 15], far[:, 4 : WIDTH + 4]).astype(np.uint8)
     rows = np.arange(20, 70, dtype=np.int64)
     for x, expected_px in ((88, 15.0), (93, 4.0)):
-        columns = np.full(len(rows), x)
-        found = search_rows(left, right, Pixels(columns, rows, rows, np.full(len(rows), expected_px)), SEARCH_PX, 1)
+        columns, none = np.full(len(rows), x), np.zeros(len(rows))
+        found = search_rows(left, right, Pixels(columns, rows, rows, none + expected_px, none), SEARCH_PX, 1)
         assert np.median(np.abs(found.disparity_px - expected_px)) < 0.02
         assert np.mean(found.expected > found.elsewhere + 0.1) > 0.95
 

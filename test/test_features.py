@@ -313,10 +313,10 @@ def real_pair(folder: Path, scene: str) -> tuple[U8, U8, np.ndarray]:
     [
         ("terrace", "sift", 350, 0.015),
         ("terrace", "orb", 1400, 0.015),
-        ("terrace", "lines", 3000, 0.05),
+        ("terrace", "lines", 3000, 0.01),
         ("cones", "sift", 350, 0.005),
         ("cones", "orb", 700, 0.01),
-        ("cones", "lines", 2500, 0.12),
+        ("cones", "lines", 2500, 0.01),
     ],
 )
 def test_real_pairs(stereo_data: Path, scene: str, kind: str, least: int, wrong: float) -> None:

@@ -56,10 +56,11 @@ def check_corners(
     x, y = _pixels(left_xy[:, 0], width), _pixels(left_xy[:, 1], height)
     right_y = _pixels(y + np.rint(right_xy[:, 1] - left_xy[:, 1]), height)
     expected_px = left_xy[:, 0] - right_xy[:, 0]
-    ours = search_rows(left, right, Pixels(x, y, right_y, expected_px), search_px, sign=1)
+    upright = np.zeros(len(x))
+    ours = search_rows(left, right, Pixels(x, y, right_y, expected_px, upright), search_px, sign=1)
     disparity_px = np.where(np.isnan(ours.disparity_px), expected_px, ours.disparity_px)
     right_x = _pixels(x - disparity_px, width)
-    theirs = search_rows(right, left, Pixels(right_x, right_y, y, disparity_px), search_px, sign=-1)
+    theirs = search_rows(right, left, Pixels(right_x, right_y, y, disparity_px, upright), search_px, sign=-1)
     moved = np.abs(disparity_px - expected_px) > LARGEST_MOVE_PX
     unmatched = np.isnan(ours.disparity_px) | (ours.correlation < LEAST_CORRELATION) | moved
     repeated = unique & (ours.elsewhere > ours.expected - NOISE)

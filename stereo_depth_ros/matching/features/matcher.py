@@ -15,6 +15,7 @@ from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, F64, U8, Frame, MatchResult, Reason
 from stereo_depth_ros.matching.features.corner_checks import agree_with_neighbors, check_corners
 from stereo_depth_ros.matching.features.corners import detect_orb, detect_sift, squared_distances_of_pairs
+from stereo_depth_ros.matching.features.line_checks import check_lines
 from stereo_depth_ros.matching.features.line_segments import common_rows, detect_segments, line_similarity
 from stereo_depth_ros.matching.protocol import X16_STEPS, check_pair, check_search
 from stereo_depth_ros.matching.serial import SerialMatcher
@@ -28,6 +29,7 @@ MAX_CORNERS = 4000  # per image, the strongest
 FAST_THRESHOLD = 10  # with the default of 20, dark scenes have no corners
 MIN_COMMON_ROWS = 3
 MIN_COMMON_SHARE = 0.5  # of the rows of the shorter of two segments
+ONTO_SURFACE_PX = 2.0  # from a line at a depth edge to the pixels of the near surface
 # Largest cost of a match: distance of SIFT descriptors (up to 724), bits of ORB descriptors (256), squared standard
 # deviations of lines. Higher limits add more wrong matches than correct ones.
 MAX_COST = {"sift": 250.0, "orb": 50.0, "lines": 4.0}
@@ -62,6 +64,11 @@ class FeatureMatches:
         """The matches of these indices or of this mask."""
         return FeatureMatches(self.left_xy[chosen], self.right_xy[chosen], self.score[chosen])
 
+    def moved(self, x_px: F64) -> FeatureMatches:
+        """Both points moved along the row, float64 (N,) px; disparities stay."""
+        step = np.stack((x_px, np.zeros_like(x_px)), axis=1)
+        return FeatureMatches(self.left_xy + step, self.right_xy + step, self.score)
+
     def inside(self, left_mask: U8, right_mask: U8) -> FeatureMatches:
         """The matches whose left and right points are inside the masks of these images, uint8 (H, W), not 0."""
         seen = (
@@ -92,7 +99,9 @@ class FeatureMatcher(SerialMatcher):
 
     Left corners have the positions of their detector, right ones are refined along the row and checked
     (:func:`check_corners`), and corners must agree with their neighbors (:func:`agree_with_neighbors`, SPECKLE
-    otherwise). Matched lines have a disparity in each common row.
+    otherwise). Matched lines have a disparity in each common row; the image must move
+    with them on one side at least (:func:`check_lines`, NO_MATCH otherwise). Where it does on one side only, at a depth
+    edge, the points are moved by 2 px to that side: that surface has the disparity.
     Pixels without a feature are NO_MATCH. ``support_px`` is the approximate extent of the smallest descriptors.
     """
 
@@ -180,6 +189,11 @@ class FeatureMatcher(SerialMatcher):
         i, j = i[best], j[best]
         pair, rows = _whole_numbers(first[i, j], last[i, j])
         matches = FeatureMatches(ours.take(i[pair]).at(rows), theirs.take(j[pair]).at(rows), score[pair])
+        search_px = config.min_disparity, config.max_disparity
+        smaller, larger = check_lines(left, right, pair, matches.left_xy, matches.disparity_px, search_px)
+        reasons[i[~smaller & ~larger]] = Reason.NO_MATCH
+        beside_px = ONTO_SURFACE_PX * (larger.astype(np.float64) - smaller)
+        matches = matches.moved(beside_px[pair]).take((smaller | larger)[pair])
         lost = np.flatnonzero(reasons)
         segment, rows = _whole_numbers(*ours.ends[lost, :, 1].T)
         return matches, ours.take(lost[segment]).at(rows), reasons[lost[segment]]

@@ -43,12 +43,17 @@ class RowMatches(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """N pixels of one image, int64 (N,) each; the row in the other one; and the expected disparity, float64 (N,)."""
+    """N pixels of one image and what is expected of them.
+
+    ``x``, ``y`` and the row in the other image, int64 (N,); the expected disparity, px, and by how much it grows from
+    row to row of the window, float64 (N,).
+    """
 
     x: I64
     y: I64
     other_y: I64
     expected_px: F64
+    slant: F64
 
 
 def search_rows(image: U8, other: U8, pixels: Pixels, search_px: tuple[int, int], sign: int) -> RowMatches:
@@ -105,14 +110,15 @@ def _weights(image: U8, x: int, y: int, window: F64, weights: F64) -> float:
 
 
 @compiled(allocates=False)
-def _correlation(other: U8, x: int, y: int, window: F64, weights: F64, variance: float) -> float:
+def _correlation(other: U8, x: int, y: int, shear: float, window: F64, weights: F64, variance: float) -> float:
     """Weighted normalized cross-correlation with the window around (x, y) of the other image."""
     height, width = other.shape
     first = second = product = 0.0
     for j in range(SIDE):
         v = _clip(y + j - HALF, height)
+        begin = x - HALF - int(np.rint(shear * (j - HALF)))
         for i in range(SIDE):
-            gray = float(other[v, _clip(x + i - HALF, width)])
+            gray = float(other[v, _clip(begin + i, width)])
             weighted = weights[j, i] * gray
             first += weighted
             second += weighted * gray
@@ -137,7 +143,7 @@ def _cubic(other: U8, y: int, at: float) -> tuple[float, float]:
 
 @compiled(allocates=False)
 def _refined(
-    other: U8, x: int, y: int, start_px: float, sign: int, window: F64, weights: F64, variance: float
+    other: U8, x: int, y: int, start_px: float, slant: float, sign: int, window: F64, weights: F64, variance: float
 ) -> tuple[float, float]:
     """Disparity and correlation by Gauss-Newton steps; gain and offset of the other window are free.
 
@@ -151,8 +157,9 @@ def _refined(
         rr = rs = ss = lr = ls = 0.0
         for j in range(SIDE):
             v = _clip(y + j - HALF, height)
+            begin = x - HALF - sign * (d + slant * (j - HALF))
             for i in range(SIDE):
-                gray, slope = _cubic(other, v, x - sign * d + (i - HALF))
+                gray, slope = _cubic(other, v, begin + i)
                 w = weights[j, i]
                 mean += w * gray
                 slope_mean += w * slope
@@ -181,7 +188,7 @@ def _refined(
     return d, correlation
 
 
-_PIXELS = numba.types.NamedTuple([int64[::1], int64[::1], int64[::1], float64[::1]], Pixels)
+_PIXELS = numba.types.NamedTuple([*[int64[::1]] * 3, *[float64[::1]] * 2], Pixels)
 _FOUND = numba.types.NamedUniTuple(float64[::1], 4, RowMatches)
 
 
@@ -199,12 +206,12 @@ def _search(
         for d in range(low, high + 1):
             at = x - sign * d
             if 0 <= at < width:
-                correlation = _correlation(other, at, y, window, weights, variance)
+                correlation = _correlation(other, at, y, sign * pixels.slant[n], window, weights, variance)
                 if abs(d - expected) <= 1.0 and correlation > near:
                     near, start = correlation, d
                 elif abs(d - expected) > APART_PX and correlation > elsewhere:
                     elsewhere = correlation
         found.expected[n], found.elsewhere[n] = near, elsewhere
         if near > -1.0:
-            refined, correlation = _refined(other, x, y, float(start), sign, window, weights, variance)
+            refined, correlation = _refined(other, x, y, float(start), pixels.slant[n], sign, window, weights, variance)
             found.disparity_px[n], found.correlation[n] = refined, correlation
