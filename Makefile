@@ -65,6 +65,7 @@ SYSTEM_ROS := import sys, numpy, rclpy, stereo_msgs.msg; \
 # Of what pip prints, the downloads of megabytes and the last step; errors are not filtered.
 SHORTER := sed -un -e '/^ *\(Downloading\|Using cached\).* MB)/p' -e 's/^\(Installing collected packages\).*/\1/p'
 
+# Bytecode is written on all cores, and not for the tests of other packages; files that no Python can read are left out.
 # Where ROS 2 is sourced its rclpy is used, with the numpy it was built for; elsewhere the wheels of an extra.
 $(VENV)/demo $(VENV)/lint $(VENV)/test: setup.py setup.cfg pyproject.toml package.xml
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is missing: install it, or make ... PYTHON=python3.x" >&2; exit 1; }
@@ -82,5 +83,6 @@ $(VENV)/demo $(VENV)/lint $(VENV)/test: setup.py setup.cfg pyproject.toml packag
 	IFS=,; package=".$${extras:+[$${extras[*]}]}"; \
 	echo "Installing $$package into $(VENV): about $(MEGABYTES) MB to download"; \
 	$(PYTHON) -m venv $$system $(VENV) \
-	  && $(BIN)/python -m pip install --editable "$$package" $$numpy | $(SHORTER)
+	  && $(BIN)/python -m pip install --no-compile --editable "$$package" $$numpy | $(SHORTER) \
+	  && { $(BIN)/python -m compileall -qq -j 0 -x /tests/ $(VENV)/lib || true; }
 	@touch $@ $(SERVES)

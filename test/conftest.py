@@ -17,21 +17,25 @@ from command_line import CommandLine, Run
 
 from stereo_depth_ros.cli import main as cli
 
-# Long and without kernels: they run while the first test of the graph compiles the kernels for all processes.
-FIRST = ("test_lint.py", "test_stereo_calibration.py", "test_collected.py", "test_boards.py")
-PRIORITY = pytest.StashKey[bool]()
+# Compiles the kernels for all processes, half of them beside the first test of the graph, which waits for them.
+KERNELS = "test_cli_compile_kernels.py"
+# Long and without kernels: they run meanwhile.
+FIRST = (KERNELS, "test_lint.py", "test_stereo_calibration.py", "test_collected.py", "test_boards.py")
+LOWERED = pytest.StashKey[bool]()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The tests of the graph first: with several processes they take longest."""
-    items.sort(key=lambda item: (item.get_closest_marker("graph") is None, item.path.name not in FIRST))
+    order = {name: number for number, name in enumerate(FIRST)}
+    items.sort(key=lambda item: (item.get_closest_marker("graph") is None, order.get(item.path.name, len(order))))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Of several processes, the one of the graph, which mostly waits, has the cores when it needs them."""
-    if "PYTEST_XDIST_WORKER" in os.environ and PRIORITY not in item.config.stash:
-        item.config.stash[PRIORITY] = item.get_closest_marker("graph") is not None
-        os.nice(0 if item.config.stash[PRIORITY] else 5)
+    lower = item.get_closest_marker("graph") is None and item.path.name != KERNELS
+    if "PYTEST_XDIST_WORKER" in os.environ and lower and LOWERED not in item.config.stash:
+        item.config.stash[LOWERED] = True
+        os.nice(5)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -614,6 +614,11 @@ def _calibrations() -> tuple[tuple[str, bytes], ...]:
     return (*((suffix, text.encode()) for suffix, text in texts), (".tar.gz", archive.getvalue()))
 
 
+@functools.cache
+def _right_camera() -> str:
+    return camera_to_yaml(_sequence().rig.right, "right")
+
+
 def _cameras() -> tuple[tuple[str, CameraModel], ...]:
     return ("left", _sequence().rig.left), ("right", _sequence().rig.right)
 
@@ -628,7 +633,7 @@ def _run_calibration(case: tuple[str, bytes], folder: Path) -> None:
     """Where the file holds the left camera only, the one of the right camera is beside it."""
     path = folder / f"left{case[0]}"
     path.write_bytes(case[1])
-    (folder / "right.yaml").write_text(camera_to_yaml(_sequence().rig.right, "right"))
+    (folder / "right.yaml").write_text(_right_camera())
     rig = read_rig_files([path], SIZE)
     assert rig.baseline_m > 0
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from adaptive_window_definition import grown_window, warped_pair
-from middlebury2001 import bad, matched, part, scene
+from middlebury2001 import bad, part, scene
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core import bands as parallel
@@ -181,16 +181,18 @@ def test_refused() -> None:
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", ["tsukuba", "venus"])
 def test_real_scenes(stereo_data: Path, name: str) -> None:
-    of = scene(name, stereo_data)
-    result = matched("adaptive_window", name, stereo_data, correlation_window_size=15).result
-    assert result.valid_fraction == 1
-    start = matched("window", name, stereo_data, correlation_window_size=15).result
+    of = part(scene(name, stereo_data), slice(100, 250))
+
+    def matched(method: str, side: int) -> MatchResult:
+        result = create_matcher(method, **{**UNCHECKED, "correlation_window_size": side}).match(of.left, of.right)
+        assert result.valid_fraction == 1
+        return result
+
+    found, start = matched("adaptive_window", 15), matched("window", 15)
     for limit_px in (0.5, 1.0):
-        assert bad(result.disparity_px, of, limit_px) < 0.8 * bad(start.disparity_px, of, limit_px)
+        assert bad(found.disparity_px, of, limit_px) < 0.8 * bad(start.disparity_px, of, limit_px)
     for side in (3, 21):
-        window = matched("window", name, stereo_data, correlation_window_size=side).result
-        assert window.valid_fraction == 1
-        assert bad(result.disparity_px, of) < bad(window.disparity_px, of)
+        assert bad(found.disparity_px, of) < bad(matched("window", side).disparity_px, of)
 
 
 @pytest.mark.real_data

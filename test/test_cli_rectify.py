@@ -18,7 +18,8 @@ from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
-SCENE = SyntheticSequence(1, 480, 360)
+WIDTH, HEIGHT = 320, 240
+SCENE = SyntheticSequence(1, WIDTH, HEIGHT)
 
 
 @pytest.fixture
@@ -48,14 +49,14 @@ def test_by_the_calibration(run: Run, tmp_path: Path, raw: StereoPair, pair: tup
     assert (code, err) == (0, "")
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["metric"] is True
-    assert result["before"]["median_px"] > 2
+    assert result["before"]["median_px"] > 1.5
     assert result["after"]["median_px"] < 0.3
     assert "in meters" in out
     left = cv2.imread(str(tmp_path / "out" / "left.png"), cv2.IMREAD_GRAYSCALE)
     assert left is not None
     np.testing.assert_array_equal(left, Rectifier(SCENE.rig).rectify_left(raw.left.pixels))
     rows = cv2.imread(str(tmp_path / "out" / "rows.png"))
-    assert rows is not None and rows.shape[1] > 1200
+    assert rows is not None and rows.shape[1] > 2 * WIDTH
     assert not (tmp_path / "out" / "left.yaml").exists()
 
 
@@ -69,7 +70,7 @@ def test_method_computes_new_rectification(run: Run, tmp_path: Path, pair: tuple
     assert result["after"]["median_px"] < 0.3
     rig = StereoRig.from_yaml(tmp_path / "out" / "left.yaml", tmp_path / "out" / "right.yaml")
     assert rig.baseline_m == pytest.approx(SCENE.rig.baseline_m, rel=1e-6)
-    assert result["common_area"]["width"] < 480
+    assert result["common_area"]["width"] < WIDTH
 
 
 def test_without_a_calibration(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
@@ -95,7 +96,7 @@ def test_lenses_without_calibration_are_assumed_undistorted(run: Run, tmp_path: 
 def test_wrong_input(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     out = ("-o", tmp_path / "out")
     flat = tmp_path / "flat.png"
-    cv2.imwrite(str(flat), np.full((360, 480), 99, np.uint8))
+    cv2.imwrite(str(flat), np.full((HEIGHT, WIDTH), 99, np.uint8))
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.full((100, 100), 99, np.uint8))
     for arguments, text, expected in (
@@ -104,7 +105,7 @@ def test_wrong_input(run: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
         ((*pair, "--rig", tmp_path / "rig", "--method", "bouguet"), "'bouguet' is not one of textbook, opencv", 2),
         ((pair[0], tmp_path / "none.png", "--uncalibrated"), "none.png", 1),
         ((flat, flat, "--uncalibrated"), "0 different matches of 0", 1),
-        ((small, small, "--rig", tmp_path / "rig"), "the image is 100x100, its camera info is for 480x360", 1),
+        ((small, small, "--rig", tmp_path / "rig"), "the image is 100x100, its camera info is for 320x240", 1),
         ((pair[0], small, "--uncalibrated"), "matches", 1),
     ):
         code, _, err = run(*arguments, *out)
@@ -126,7 +127,7 @@ def test_one_file_with_both_images(run: Run, tmp_path: Path, pair: tuple[Path, P
     code, _, err = run(both, *rig, tmp_path / "out")
     assert code == 2 and "the image of the right camera is missing: " in err and "--side-by-side" in err
     code, _, err = run(both, both, *rig, tmp_path / "out")
-    assert code == 1 and "the image is 960x360, its camera info is for 480x360: it looks like both images" in err
+    assert code == 1 and "the image is 640x240, its camera info is for 320x240: it looks like both images" in err
     assert err.endswith("(--side-by-side)\n")
     cv2.imwrite(str(both), np.zeros((6, 9), np.uint8))
     code, _, err = run(both, "--side-by-side", *rig, tmp_path / "out")

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -71,7 +72,7 @@ def write_helper(folder: Path, expression: str, comment: str = "") -> None:
 
 
 def start(folder: Path, code: str = RUN) -> subprocess.Popen[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1", "PYTHONUNBUFFERED": "1"}
     environment.pop("NUMBA_CACHE_DIR", None)
     command = [sys.executable, "-c", code]
     return subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
@@ -127,27 +128,39 @@ def test_code_that_refers_to_generated_functions_is_loaded() -> None:
 
 def test_waiting_for_another_process_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """The wait is progress too: who watches the start of nodes counts from the last report."""
+
+    @compiled("int64(int64)")
+    def triple(value: int) -> int:
+        return 3 * value
+
+    assert isinstance(triple, Kernel)
+    triple._index.flush()  # of an earlier run
     monkeypatch.setattr(kernels, "_WAITING_S", 0.2)
+    monkeypatch.setattr(kernels, "_pending", [triple])
     reports = []
-    released = threading.Event()
+    with ExitStack() as another_process:  # flock is of the open file
+        assert another_process.enter_context(triple.lock())
 
-    def hold() -> None:
-        with kernels._one_process_at_a_time(lambda: None):
-            held.set()
-            released.wait(60)
+        def report(number: int, total: int) -> None:
+            reports.append((number, total))
+            another_process.close()
 
-    held = threading.Event()
-    holder = threading.Thread(target=hold)  # flock is of the open file: a thread stands for a process
-    holder.start()
-    assert held.wait(60)
+        compile_kernels(report)
+    assert reports == [(0, 1), (1, 1)]
+    assert triple(5) == 15
 
-    def report() -> None:
-        reports.append(0)
-        released.set()
 
-    with kernels._one_process_at_a_time(report):
-        holder.join(60)
-    assert reports
+def test_while_another_process_compiles_a_kernel_the_others_are_compiled(folder: Path) -> None:
+    lock = folder / "__pycache__" / f"kernel.kernel.{kernels._PYTHON}.{os.getuid()}.lock"
+    with kernels._file_lock(lock) as locked:
+        assert locked
+        process = start(folder)
+        watchdog = threading.Timer(120, process.kill)
+        watchdog.start()
+        assert process.stdout is not None and process.stdout.readline() == "compiling 1 2\n"
+    output, _ = process.communicate(timeout=120)
+    watchdog.cancel()
+    assert output.splitlines() == ["compiling 2 2", "8 6"]
 
 
 def test_first_call_compiles() -> None:

@@ -164,16 +164,19 @@ def residuals_px(views: Sequence[tuple[Corners, ...]], parameters: BundleParamet
     ]
 
 
-def _project(parameters: BundleParameters, side: int, pose: F64, corners: Corners) -> tuple[Projection, F64, F64]:
-    """The projection in one camera; Jacobians (6, 6) of its board pose by the rig and by the first camera's pose."""
+def _project(
+    parameters: BundleParameters, side: int, pose: F64, corners: Corners
+) -> tuple[Projection, tuple[F64, F64] | None]:
+    """The projection in one camera; Jacobians (6, 6) of the second one's board pose by the rig and by the first's."""
     model, intrinsics, rig = parameters.model, parameters.intrinsics[side], parameters.rig
     if side == 0:
-        return project(model, intrinsics, pose, corners.board_m), np.zeros((6, 6)), np.identity(6)
+        return project(model, intrinsics, pose, corners.board_m), None
     rotation, translation, *D = cv2.composeRT(pose[:3], pose[3:], rig[:3], rig[3:])
-    by_pose = np.block([[D[0], D[1]], [D[4], D[5]]])
-    by_rig = np.block([[D[2], D[3]], [D[6], D[7]]])
+    by_pose, by_rig = np.empty((2, 6, 6))
+    for jacobian, parts in ((by_pose, (D[0], D[1], D[4], D[5])), (by_rig, (D[2], D[3], D[6], D[7]))):
+        jacobian[:3, :3], jacobian[:3, 3:], jacobian[3:, :3], jacobian[3:, 3:] = parts
     second = np.concatenate([rotation.ravel(), translation.ravel()])
-    return project(model, intrinsics, second, corners.board_m), by_rig, by_pose
+    return project(model, intrinsics, second, corners.board_m), (by_rig, by_pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,17 +208,21 @@ def _equations(
     gradient, cost = np.zeros((len(views), columns.size)), 0.0
     for number, view in enumerate(views):
         for side, corners in enumerate(view):
-            projection, by_rig, by_pose = _project(parameters, side, parameters.poses[number], corners)
+            projection, second = _project(parameters, side, parameters.poses[number], corners)
             J = np.zeros((2 * len(corners.ids), shared + 6))
             J[:, side * size : (side + 1) * size] = projection.jacobian_intrinsics
-            if side:
+            if second is None:
+                J[:, shared:] = projection.jacobian_pose
+            else:
+                by_rig, by_pose = second
                 J[:, shared - 6 : shared] = projection.jacobian_pose @ by_rig
-            J[:, shared:] = projection.jacobian_pose @ by_pose
+                J[:, shared:] = projection.jacobian_pose @ by_pose
             J = J[:, columns]
             residuals = (projection.image_px - corners.image_px).ravel()
             w = np.repeat(weights[number][side], 2)
-            normal[number] += J.T @ (w[:, None] * J)
-            gradient[number] += J.T @ (w * residuals)
+            weighted = w[:, None] * J
+            normal[number] += weighted.T @ J
+            gradient[number] += weighted.T @ residuals
             cost += float(w @ np.square(residuals))
     return NormalEquations(normal, gradient, cost)
 

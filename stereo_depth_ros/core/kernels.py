@@ -9,12 +9,11 @@ import importlib.util
 import os
 import pickle
 import sys
-import tempfile
 import threading
 import time
 import types
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -73,9 +72,11 @@ class Kernel:
         dispatcher.enable_caching()
         # Numba names cache files by line number and stamps them with the modification time of the source file. Here the
         # stamp is a hash of the code, so that unrelated edits keep the cache and an edit of a helper does not.
+        base = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}.{_PYTHON}"
+        self._folder, self._base = Path(dispatcher._cache.cache_path), base
         self._index = IndexDataCacheFile(
             cache_path=dispatcher._cache.cache_path,
-            filename_base=f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}.{_PYTHON}",
+            filename_base=base,
             source_stamp=_fingerprint(function, f"{signatures} {allocates}"),
         )
         dispatcher._cache._cache_file = self._index
@@ -93,6 +94,11 @@ class Kernel:
         keys = (self._dispatcher._cache._index_key(signature, codegen) for signature in self._signatures)
         overloads = self._index._load_index()
         return all(key in overloads for key in keys)
+
+    def lock(self) -> AbstractContextManager[bool]:
+        """Keeps other processes of this user from compiling it; whether none does."""
+        user = f".{os.getuid()}" if hasattr(os, "getuid") else ""
+        return _file_lock(self._folder / f"{self._base}{user}.lock")
 
     def make_code(self) -> None:
         """Load the code from disk, or compile it."""
@@ -123,56 +129,57 @@ class Kernel:
 def compile_kernels(report: Callable[[int, int], object] = lambda number, total: None) -> None:
     """Load or compile every kernel of the modules imported so far, so that no frame waits for the compiler.
 
-    Only one process of a user compiles at a time; the others wait and then load the code from disk.
+    Of several processes of a user each kernel is compiled by one; the others compile other kernels meanwhile, and then
+    load its code from disk.
 
     Args:
         report: called with number and total before each kernel that has to be compiled, and with number 0 every few
-            seconds while another process compiles.
+            seconds while the last ones are compiled by other processes.
     """
     with _pending_lock:
-        if not _pending:
-            return
-        if any(not kernel.is_on_disk for kernel in _pending):
-            with _one_process_at_a_time(lambda: report(0, len(_pending))):
-                missing = [kernel for kernel in _pending if not kernel.is_on_disk]
-                for number, kernel in enumerate(missing, start=1):
-                    report(number, len(missing))
-                    kernel.make_code()
-                    _pending.remove(kernel)
+        missing = [kernel for kernel in _pending if not kernel.is_on_disk]
+        number, total, reported = 0, len(missing), time.monotonic()
+        while missing:
+            before = len(missing)
+            for kernel in [*missing]:
+                with kernel.lock() as locked:
+                    if not locked:
+                        continue
+                    missing.remove(kernel)
+                    if not kernel.is_on_disk:
+                        number += 1
+                        report(number, total)
+                        kernel.make_code()
+                        _pending.remove(kernel)
+            if len(missing) < before:
+                reported = time.monotonic()
+                continue
+            time.sleep(_LOCK_POLL_S)
+            if time.monotonic() > reported + _WAITING_S:
+                report(0, total)
+                reported = time.monotonic()
         while _pending:
             _pending[0].make_code()
             _pending.pop(0)
 
 
-def _locked(descriptor: int) -> bool:
-    """Take the lock if no other process has it."""
+@contextmanager
+def _file_lock(path: Path) -> Iterator[bool]:
+    """A lock between processes, not waited for; whether it was free. Always so if the system has no flock."""
+    if importlib.util.find_spec("fcntl") is None:
+        yield True
+        return
     import fcntl
 
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
-
-
-@contextmanager
-def _one_process_at_a_time(waiting: Callable[[], object]) -> Iterator[None]:
-    """A lock between processes; none if the system has no flock."""
-    if importlib.util.find_spec("fcntl") is None:
-        yield
-        return
-    own = Path(__file__).parent / "__pycache__"
-    folder = own if os.access(own, os.W_OK) else Path(tempfile.gettempdir())
-    path = folder / f"stereo_depth_ros-kernels-{os.getuid()}.lock"
+    path.parent.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     try:
-        reported = time.monotonic()
-        while not _locked(descriptor):
-            time.sleep(_LOCK_POLL_S)
-            if time.monotonic() > reported + _WAITING_S:
-                waiting()
-                reported = time.monotonic()
-        yield
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+        else:
+            yield True
     finally:
         os.close(descriptor)
 

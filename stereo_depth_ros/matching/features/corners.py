@@ -86,13 +86,17 @@ def mutual_best(cost: F32, ratio: float) -> tuple[Indices, Indices]:
     """Pairs of a row and a column that are each other's minimum, the row's below ``ratio`` times its second best.
 
     Args:
-        cost: float32 (N, M), M >= 2; infinite for pairs that cannot match.
+        cost: float32 (N, M), M >= 2; infinite for pairs that cannot match; the same afterwards.
         ratio: 0..1 (Lowe's ratio test).
     """
-    best = cost.argmin(axis=1)
-    rows = np.arange(len(best))
-    least, second = np.partition(cost, 1, axis=1)[:, :2].T
-    chosen = (cost.argmin(axis=0)[best] == rows) & (least < ratio * second)
+    rows, best = np.arange(len(cost)), cost.argmin(axis=1)
+    least = cost[rows, best]
+    cost[rows, best] = np.inf
+    second = cost.min(axis=1)
+    cost[rows, best] = least
+    # Few are left for the search of the first minimum of a column, which is slow along the rows.
+    chosen = np.flatnonzero((least < ratio * second) & (least == cost.min(axis=0)[best]))
+    chosen = chosen[cost.T[best[chosen]].argmin(axis=1) == chosen]
     return rows[chosen], best[chosen]
 
 
