@@ -34,9 +34,15 @@ _COSTS: Columns = {
 
 
 def evaluate_tables(
-    rows: Sequence[Mapping[str, Any]], range_given: bool, plots: Path | None = None
+    rows: Sequence[Mapping[str, Any]],
+    range_given: bool,
+    plots: Path | None = None,
+    truths: Mapping[str, str] | None = None,
 ) -> Iterator[TextTable]:
-    """A row for each scene and method, the means of each method, and the definitions of the figures."""
+    """A row for each scene and method, the means of each method, and the definitions of the figures.
+
+    ``truths`` tells by bag where its truth comes from.
+    """
     yield _scenes_table(rows)
     yield _means_table(rows, "mean errors", _ERRORS)
     yield _means_table(rows, "mean times", _COSTS)
@@ -53,6 +59,8 @@ def evaluate_tables(
     masked = list(dict.fromkeys(row["scene"] for row in rows if row["occlusion"] == "mask"))
     given = f"; {', '.join(masked)}: mask of the dataset" if masked else ""
     facts.add_row("occlusion", f"computed from the true disparities{given}")
+    for bag, text in (truths or {}).items():
+        facts.add_row("truth", f"{bag}: {text}")
     if plots is not None:
         facts.add_row("plots", str(plots))
     yield facts
