@@ -11,7 +11,17 @@ import numpy as np
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, F64, U8
 
-__all__ = ["FALLING", "FIRST", "SECOND", "choose_triangles", "fill_triangles", "fit_lines", "fit_planes", "join", "mesh_normals"]
+__all__ = [
+    "FALLING",
+    "FIRST",
+    "SECOND",
+    "choose_triangles",
+    "fill_triangles",
+    "fit_lines",
+    "fit_planes",
+    "join",
+    "mesh_normals",
+]
 
 # Bits of the triangles of a square of four pixels. The diagonal rises from bottom left to top right, or falls from top
 # left to bottom right; the first triangle is the one above it.
