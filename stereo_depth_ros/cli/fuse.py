@@ -43,7 +43,7 @@ from stereo_depth_ros.datasets.posed import open_posed
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.messages.motion import TREE_TYPE
 from stereo_depth_ros.offline.camera_poses import CameraPoses, poses_of_file, poses_of_topic
-from stereo_depth_ros.offline.fuse import FuseReport, fuse_sequence
+from stereo_depth_ros.offline.fuse import FuseReport, fuse_sequence, no_surface_error
 from stereo_depth_ros.offline.sequence import BagSequence, DatasetSequence, Sequence
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.fused import fused_plot
@@ -175,6 +175,8 @@ def fuse(
             sequence, known, volume, every=every, max_depth_m=max_depth or math.inf, progress=progress
         )
     surface = volume.surface(fewest_triangles=min_piece, largest_hole_m=fill)
+    if not len(surface.mesh.triangles):
+        raise no_surface_error(report, surface, volume.voxel_m).about(place)
     _finish(report, surface, volume, known, (output, preview, json_file), overwrite, config)
 
 

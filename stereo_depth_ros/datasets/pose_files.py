@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import NoReturn
 
@@ -127,12 +128,10 @@ def _key(path: Path, line: int, word: str, *, is_number: bool) -> int:
     value = float(_numbers(path, line, [word])[0])
     if is_number:
         return round(value)
-    stamp_ns = int(word) if word.isdigit() and value > _NANOSECONDS else None
-    if stamp_ns is None:
-        stamp_ns = round(value) if value > _NANOSECONDS else round(1e9 * value)
+    stamp_ns = Decimal(word) * (1 if value > _NANOSECONDS else 10**9)  # a float has no nanoseconds
     if not 0 <= stamp_ns <= _END_NS:
         raise _wrong(path, line, f"has the time {quoted(word)}, which is outside 0..{_END_NS} ns")
-    return stamp_ns
+    return round(stamp_ns)
 
 
 def _matrix_pose(values: F64, path: Path, line: int) -> Pose:

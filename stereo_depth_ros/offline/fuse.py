@@ -21,9 +21,9 @@ from stereo_depth_ros.diagnosis.opening import skipped_text
 from stereo_depth_ros.offline.camera_poses import CameraPoses
 from stereo_depth_ros.offline.sequence import Sequence
 from stereo_depth_ros.surfaces.range_image import RangeImage
-from stereo_depth_ros.surfaces.volume import SurfaceVolume
+from stereo_depth_ros.surfaces.volume import FusedSurface, SurfaceVolume
 
-__all__ = ["FuseReport", "fuse_sequence"]
+__all__ = ["FuseReport", "fuse_sequence", "no_surface_error"]
 
 _FAR_M = 1000.0  # from the origin: float32 coordinates of a file are coarser than 0.1 mm there
 _APART = 0.4  # mean difference between images, in widths of the band: noise stays below a third, wrong poses are above
@@ -151,10 +151,25 @@ def fuse_sequence(
     report.up /= max(float(np.linalg.norm(report.up)), 1e-12)
     report.apart = statistics.median(aparts) if aparts else math.nan
     report.integrate_ms = statistics.median(times_ms)
-    report.warnings = [*sequence.warnings, *refused.values(), *_warnings(report)]
+    report.warnings = [*sequence.warnings, *refused.values(), *_warnings(report, volume.voxel_m)]
     if sequence.fault is not None:
         report.warnings.append(str(sequence.fault))
     return report
+
+
+def no_surface_error(report: FuseReport, surface: FusedSurface, voxel_m: float) -> BagError:
+    """No triangle is in a surface: what was left out."""
+    counts = {"fused": report.used, "too far": report.too_far, "too uncertain": report.uncertain}
+    pixels = ", ".join(
+        f"{count} {name}" for name, count in {**counts, "between surfaces": report.alone}.items() if count
+    )
+    pieces = f"; {surface.pieces} pieces are too small" if surface.pieces else ""
+    return BagError(
+        f"no surface was found with voxels of {voxel_m:g} m: pixels {pixels or 'without depth'}{pieces}",
+        value=report.used,
+        remedy="set larger voxels" if report.uncertain > report.used else "set another depth or smaller pieces",
+        settings=("voxel",) if report.uncertain > report.used else ("max_depth", "min_piece"),
+    )
 
 
 def _is_about_poses(error: StereoDepthError) -> bool:
@@ -194,10 +209,13 @@ def _nothing_fused(report: FuseReport, poses: CameraPoses, refused: list[str]) -
     )
 
 
-def _warnings(report: FuseReport) -> list[str]:
+def _warnings(report: FuseReport, voxel_m: float) -> list[str]:
     texts = []
     if report.without_pose:
         texts.append(f"{report.without_pose} of {report.pairs} pairs were left out, no pose is known at their time")
+    if report.uncertain > report.used:
+        share = 100 * report.uncertain / (report.uncertain + report.used)
+        texts.append(f"{share:.0f} % of the pixels are too uncertain for voxels of {voxel_m:g} m: set larger voxels")
     if report.apart > _APART:
         texts.append(
             f"the images do not fit each other: their surfaces differ by {report.apart:.2f} widths of the truncation "

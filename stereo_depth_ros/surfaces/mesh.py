@@ -17,7 +17,7 @@ from stereo_depth_ros.core.types import F32, F64, U8
 from stereo_depth_ros.surfaces.mesh_kernels import choose_triangles, fill_triangles, fit_planes, join, mesh_normals
 from stereo_depth_ros.surfaces.range_image import RangeImage
 
-__all__ = ["ImageMesh", "Mesh", "joined_neighbors", "mesh_of", "normal_image", "window_normals"]
+__all__ = ["ImageMesh", "Mesh", "joined_neighbors", "mesh_of", "normal_image"]
 
 _EDGE_SIGMAS = 3.0
 _MAX_ANGLE_DEG = 88.0
@@ -124,12 +124,7 @@ def normal_image(
     """
     if not 1 <= radius_px <= 15:
         raise _out_of_range("radius_px", radius_px, "1..15", (1, 15))
-    return window_normals(image, joined_neighbors(image, edge_sigmas, max_angle_deg), radius_px)
-
-
-def window_normals(image: RangeImage, joined: tuple[F32, U8, U8], radius_px: int) -> F32:
-    """As :func:`normal_image`, of pixels that are joined already: the result of :func:`joined_neighbors`."""
-    w, right, down = joined
+    w, right, down = joined_neighbors(image, edge_sigmas, max_angle_deg)
     normals = np.empty((*w.shape, 3), np.float32)
     run_bands(fit_planes, len(w), w, *image.rays, right, down, int(radius_px), normals)
     return normals

@@ -11,7 +11,17 @@ import numpy as np
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, F64, U8
 
-__all__ = ["FALLING", "FIRST", "SECOND", "choose_triangles", "fill_triangles", "fit_planes", "join", "mesh_normals"]
+__all__ = [
+    "FALLING",
+    "FIRST",
+    "SECOND",
+    "choose_triangles",
+    "fill_triangles",
+    "fit_lines",
+    "fit_planes",
+    "join",
+    "mesh_normals",
+]
 
 # Bits of the triangles of a square of four pixels. The diagonal rises from bottom left to top right, or falls from top
 # left to bottom right; the first triangle is the one above it.
@@ -270,5 +280,54 @@ def fit_planes(
             a, b = (syy * sxw - sxy * syw) / det, (sxx * syw - sxy * sxw) / det
             level = float(w[y, x]) + (sw - a * sx - b * sy) / n
             c = level - a * rays_x[x] - b * rays_y[y]
+            scale = -1.0 / np.sqrt(a * a + b * b + c * c)
+            normals[y, x, 0], normals[y, x, 1], normals[y, x, 2] = a * scale, b * scale, c * scale
+
+
+@compiled()
+def _line_slope(w: F32, rays: F64, joined: U8, y: int, x: int, dy: int, dx: int, radius: int) -> tuple[float, float]:
+    """Slope of w over a ray coordinate, and w at (y, x), along the pixels of a row or column that are joined; or NaN.
+
+    By least squares over up to ``radius`` pixels on both sides.
+    """
+    at, n, s, sw, ss, ssw = (y if dy else x), 1.0, 0.0, 0.0, 0.0, 0.0
+    center = float(w[y, x])
+    for sign in (-1, 1):
+        j, i = y, x
+        for _ in range(radius):
+            before_j, before_i = (j, i) if sign > 0 else (j - dy, i - dx)
+            if before_j < 0 or before_i < 0 or not joined[before_j, before_i]:
+                break
+            j, i = j + sign * dy, i + sign * dx
+            d, value = rays[j if dy else i] - rays[at], float(w[j, i]) - center
+            n, s, sw, ss, ssw = n + 1.0, s + d, sw + value, ss + d * d, ssw + d * value
+    if n < 2.0:
+        return np.nan, np.nan
+    slope = (ssw - s * sw / n) / (ss - s * s / n)
+    return slope, center + (sw - slope * s) / n
+
+
+@compiled(f"void(int64, int64, {_F32}, {_F64}, {_F64}, {_U8}, {_U8}, int64, float32[:, :, ::1])")
+def fit_lines(
+    first: int, last: int, w: F32, rays_x: F64, rays_y: F64, right: U8, down: U8, radius: int, normals: F32
+) -> None:
+    """The unit normal of each pixel by two lines of joined pixels, its row and its column; faster than windows.
+
+    Args:
+        first, last: rows.
+        w: float32 (H, W), inverse depth, NaN where not measured.
+        rays_x, rays_y: float64 (W,) and (H,), X / Z and Y / Z.
+        right, down: of :func:`join`.
+        radius: pixels on each side.
+        normals: float32 (H, W, 3), written; NaN without a neighbor in the row and one in the column.
+    """
+    for y in range(first, last):
+        for x in range(w.shape[1]):
+            normals[y, x, :] = np.nan
+            if not np.isfinite(w[y, x]):
+                continue
+            a, of_row = _line_slope(w, rays_x, right, y, x, 0, 1, radius)
+            b, of_column = _line_slope(w, rays_y, down, y, x, 1, 0, radius)
+            c = 0.5 * (of_row + of_column) - a * rays_x[x] - b * rays_y[y]
             scale = -1.0 / np.sqrt(a * a + b * b + c * c)
             normals[y, x, 0], normals[y, x, 1], normals[y, x, 2] = a * scale, b * scale, c * scale

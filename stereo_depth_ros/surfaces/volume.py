@@ -25,7 +25,8 @@ from stereo_depth_ros.surfaces.extraction_kernels import (
     mark_edges,
 )
 from stereo_depth_ros.surfaces.marching_cubes import cube_tables
-from stereo_depth_ros.surfaces.mesh import Mesh, joined_neighbors, window_normals
+from stereo_depth_ros.surfaces.mesh import Mesh, joined_neighbors
+from stereo_depth_ros.surfaces.mesh_kernels import fit_lines
 from stereo_depth_ros.surfaces.mesh_repair import filled_holes, without_small_pieces
 from stereo_depth_ros.surfaces.range_image import RangeImage
 from stereo_depth_ros.surfaces.volume_kernels import EMPTY, OUTSIDE, SIDE, VOXELS, add_blocks, add_image, insert_blocks
@@ -37,7 +38,7 @@ _SIGMAS = 3.0  # of it, where that is between these
 _FLOOR = (
     0.05  # added to the standard deviation, voxels: an image without noise has a finite weight, and curved surfaces
 )
-_NORMAL_RADIUS_PX = 3
+_NORMAL_RADIUS_PX = 5
 _BLOCK_BYTES = VOXELS * (4 + 4 + 3) + 3 * 4
 _ENTRY_BYTES = 8 + 4  # of the table
 _FIRST_BLOCKS, _GROWTH = 1024, 1.25
@@ -146,8 +147,9 @@ class SurfaceVolume:
         measured = image.measured
         sigma = np.hypot(image.sigma_m, np.float32(_FLOOR * self.voxel_m))
         joined = joined_neighbors(replace(image, sigma_m=sigma))
-        normals = window_normals(image, joined, _NORMAL_RADIUS_PX)
         rays_x, rays_y = image.rays
+        normals = np.empty((*measured.shape, 3), np.float32)
+        run_bands(fit_lines, len(normals), joined[0], rays_x, rays_y, *joined[1:], _NORMAL_RADIUS_PX, normals)
         lengths = np.sqrt(np.square(rays_x)[None] + np.square(rays_y)[:, None] + 1).astype(np.float32)
         slopes = -(normals[..., 0] * rays_x.astype(np.float32) + normals[..., 2])
         slopes -= normals[..., 1] * rays_y.astype(np.float32)[:, None]
@@ -160,9 +162,8 @@ class SurfaceVolume:
             band = np.clip(_SIGMAS * across, _NARROWEST * self.voxel_m, _WIDEST * self.voxel_m)
             weight = (1 / np.square(along)).astype(np.float32)
         band = np.where(used, band, np.float32(np.nan)).astype(np.float32)
-        geometry = (image.depth_m, normals, band)
         pose = (np.ascontiguousarray(world_from_camera.rotation, np.float64), world_from_camera.translation_m)
-        self._add_blocks(*geometry, rays_x, rays_y, *pose)
+        self._add_blocks(image.depth_m, normals, band, rays_x, rays_y, *pose)
         count = self.block_count
         apart = np.empty((count, 2))
         farthest_m = float(np.max(image.depth_m, where=used, initial=0.0))
@@ -171,7 +172,9 @@ class SurfaceVolume:
             add_image,
             count,
             self._coordinates,
-            *geometry,
+            joined[0],
+            normals,
+            band,
             weight,
             *joined[1:],
             np.ascontiguousarray(image.rgb),

@@ -179,17 +179,23 @@ def _outside(x: float, y: float, z: float, radius: float, rays_x: F64, rays_y: F
 
 
 @compiled(allocates=False)
-def _depth_at(depth: F32, right: U8, down: U8, u: float, v: float, y: int, x: int) -> float:
+def _depth_at(inverse: F32, right: U8, down: U8, u: float, v: float, y: int, x: int) -> float:
     """Depth between pixels: bilinear in inverse depth, as on a plane, where the four are joined; else of (y, x)."""
     x0, y0 = math.floor(u), math.floor(v)
-    if x0 < 0 or y0 < 0 or x0 + 1 >= depth.shape[1] or y0 + 1 >= depth.shape[0]:
-        return float(depth[y, x])
+    if x0 < 0 or y0 < 0 or x0 + 1 >= inverse.shape[1] or y0 + 1 >= inverse.shape[0]:
+        return 1.0 / float(inverse[y, x])
     if not (right[y0, x0] and right[y0 + 1, x0] and down[y0, x0] and down[y0, x0 + 1]):
-        return float(depth[y, x])
+        return 1.0 / float(inverse[y, x])
     a, b = u - x0, v - y0
-    above = (1.0 - a) / depth[y0, x0] + a / depth[y0, x0 + 1]
-    below = (1.0 - a) / depth[y0 + 1, x0] + a / depth[y0 + 1, x0 + 1]
+    above = (1.0 - a) * inverse[y0, x0] + a * inverse[y0, x0 + 1]
+    below = (1.0 - a) * inverse[y0 + 1, x0] + a * inverse[y0 + 1, x0 + 1]
     return float(1.0 / ((1.0 - b) * above + b * below))
+
+
+@compiled(allocates=False)
+def _is_inside(right: U8, down: U8, y: int, x: int) -> bool:
+    """Whether a pixel is joined with all four neighbors."""
+    return bool(y > 0 and x > 0 and right[y, x] and right[y, x - 1] and down[y, x] and down[y - 1, x])
 
 
 @compiled(
@@ -200,7 +206,7 @@ def add_image(
     first: int,
     last: int,
     coordinates: Any,
-    depth: F32,
+    inverse: F32,
     normals: F32,
     band: F32,
     image_weight: F32,
@@ -228,7 +234,8 @@ def add_image(
     Args:
         first, last: blocks.
         coordinates: int32 (N, 3), of the blocks.
-        depth, normals, band: as of :func:`add_blocks`.
+        inverse: float32 (H, W), inverse depth, 1 / m.
+        normals, band: as of :func:`add_blocks`.
         image_weight: float32 (H, W), weight of each pixel, 1 / m^2.
         right, down: uint8 (H, W), whether a pixel is joined with its right and its lower neighbor.
         image_color: uint8 (H, W, 3).
@@ -241,7 +248,7 @@ def add_image(
         apart: float64 (N, 2), written: of grid points in the band that were known before, the sum of the differences
             between new and old distance, in widths of the band, and their number.
     """
-    height, width = depth.shape
+    height, width = inverse.shape
     fx = (width - 1) / (rays_x[-1] - rays_x[0]) if width > 1 else 1.0
     fy = (height - 1) / (rays_y[-1] - rays_y[0]) if height > 1 else 1.0
     radius = 0.5 * (SIDE - 1) * math.sqrt(3.0) * voxel_m
@@ -274,12 +281,14 @@ def add_image(
                 continue
             slope = -(normals[py, px, 0] * tx + normals[py, px, 1] * ty + normals[py, px, 2])
             slope = max(slope, _SMALLEST_COSINE * math.sqrt(1.0 + tx * tx + ty * ty))
-            ahead = slope * (_depth_at(depth, right, down, u, v, py, px) - z)
+            ahead = slope * (_depth_at(inverse, right, down, u, v, py, px) - z)
             if ahead <= -wide:
                 continue
             w = float(image_weight[py, px])
             if ahead < 0.0:
-                reach = max(wide * slope / math.sqrt(1.0 + tx * tx + ty * ty), _REACH * voxel_m)
+                reach = _REACH * voxel_m
+                if _is_inside(right, down, py, px):
+                    reach = max(wide * slope / math.sqrt(1.0 + tx * tx + ty * ty), reach)
                 w *= 1.0 + ahead / reach
                 if not w > 0.0:
                     continue
