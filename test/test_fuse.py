@@ -75,11 +75,13 @@ def test_a_bag_with_odometry(bag: Path, tmp_path: Path, command_line: CommandLin
 
 def test_a_bag_with_a_file_of_poses(bag: Path, tmp_path: Path, command_line: CommandLine) -> None:
     fuse, poses = command_line("fuse"), tum(tmp_path / "poses.txt")
-    options = (*OPTIONS, "--poses", poses, "--every", 2, "--json", "-")
+    options = (*OPTIONS, "--poses", poses, "--every", 2, "--refine", "--json", "-")
     code, out, err = fuse(bag, "-o", tmp_path / "room.cloud.ply", *options)
     assert code == 0, err
     values = json.loads(out)
     assert (values["pairs"], values["fused"]) == (2, 2) and "TUM, of the left camera" in values["poses"]
+    assert values["refined"] + values["refinement_kept"] == 1
+    assert values["parameters"]["disparity_range"] == "48" and values["parameters"]["sequence"] == str(bag)
     points = MAP_FROM_SCENE.inverse().apply(points_of(tmp_path / "room.cloud.ply"))
     assert np.median(distance_to_scene(points, sequence(FRAMES).scene.primitives)) < MEDIAN_M
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,7 +37,6 @@ from stereo_depth_ros.cli.options import (
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progress_bar, show, tell, warn
 from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.tables import TextTable, facts_table
-from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.errors import ConfigError, TopicError
 from stereo_depth_ros.datasets.posed import open_posed
@@ -44,6 +44,8 @@ from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.messages.motion import TREE_TYPE
 from stereo_depth_ros.offline.camera_poses import CameraPoses, poses_of_file, poses_of_topic
 from stereo_depth_ros.offline.fuse import FuseReport, fuse_sequence, no_surface_error
+from stereo_depth_ros.offline.provenance import provenance
+from stereo_depth_ros.offline.refinement import PoseRefinement
 from stereo_depth_ros.offline.sequence import BagSequence, DatasetSequence, Sequence
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.fused import fused_plot
@@ -105,6 +107,9 @@ def fuse(
         float, typer.Option(min=0, metavar="METERS", help="Leave out depth beyond it; 0 leaves out nothing.")
     ] = 0.0,
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Use one of N pairs.")] = 1,
+    refine: Annotated[
+        bool, typer.Option("--refine", help="Refine each pose by registration with the surface fused before it.")
+    ] = False,
     min_piece: Annotated[
         int, typer.Option(min=0, metavar="N", help="Remove connected pieces of fewer triangles.")
     ] = 100,
@@ -170,14 +175,27 @@ def fuse(
         sequence = DatasetSequence(posed, config)
         _check(output, preview, json_file, overwrite, [*sequence.files, *known.files], params_file, values)
         prepare_kernels(config.matching)
+    refinement = PoseRefinement(volume) if refine else None
+    further = {} if refinement is None else {"each": refinement}
     with progress_bar("fusing") as progress:
         report = fuse_sequence(
-            sequence, known, volume, every=every, max_depth_m=max_depth or math.inf, progress=progress
+            sequence, known, volume, every=every, max_depth_m=max_depth or math.inf, progress=progress, **further
         )
     surface = volume.surface(fewest_triangles=min_piece, largest_hole_m=fill)
     if not len(surface.mesh.triangles):
         raise no_surface_error(report, surface, volume.voxel_m).about(place)
-    _finish(report, surface, volume, known, (output, preview, json_file), overwrite, config)
+    written = write_mesh(output, surface.mesh, z_up=report.z_up, overwrite=overwrite)
+    if preview is not None:
+        title = f"{output.name}: {report.fused} pairs, {len(surface.mesh.points_m)} points"
+        save_png(preview, fused_plot(surface.mesh, title, z_up=report.z_up), overwrite=overwrite)
+    result = _Result(report, surface, volume, known, refinement, written, preview)
+    parameters = {"parameters": provenance(config, report.rig, sequence=place)}
+    show(result.tables(), result.to_json() | parameters, json_file, overwrite=overwrite)
+    for text in report.warnings:
+        warn(text)
+    if report.skipped:
+        tell(f"error: {report.skipped} pairs skipped: see the warnings above")
+        raise typer.Exit(EXIT_INCOMPLETE)
 
 
 def _check(
@@ -227,85 +245,67 @@ def _poses_of_bag(
     return poses_of_topic(poses, read_bag_poses(bag, poses, max_gap_ns), pose_frame, world_frame)
 
 
-def _finish(
-    report: FuseReport,
-    surface: FusedSurface,
-    volume: SurfaceVolume,
-    poses: CameraPoses,
-    paths: tuple[Path, Path | None, Path | None],
-    overwrite: bool,
-    config: PipelineConfig,
-) -> None:
-    """Write the files, print the result, and end with exit code 3 where pairs were skipped."""
-    output, preview, json_file = paths
-    written = write_mesh(output, surface.mesh, z_up=report.z_up, overwrite=overwrite)
-    if preview is not None:
-        title = f"{output.name}: {report.fused} pairs, {len(surface.mesh.points_m)} points"
-        save_png(preview, fused_plot(surface.mesh, title, z_up=report.z_up), overwrite=overwrite)
-    show(
-        _tables(report, surface, volume, poses, written, preview),
-        _values(report, surface, volume, poses, written),
-        json_file,
-        overwrite=overwrite,
-    )
-    for text in report.warnings:
-        warn(text)
-    if report.skipped:
-        tell(f"error: {report.skipped} pairs skipped: see the warnings above")
-        raise typer.Exit(EXIT_INCOMPLETE)
+@dataclass(frozen=True)
+class _Result:
+    report: FuseReport
+    surface: FusedSurface
+    volume: SurfaceVolume
+    poses: CameraPoses
+    refinement: PoseRefinement | None
+    written: WrittenFile
+    preview: Path | None
 
+    def to_json(self) -> dict[str, Any]:
+        refined = {} if self.refinement is None else self.refinement.to_json()
+        return {
+            **self.report.to_json(),
+            **refined,
+            "poses": self.poses.text,
+            "voxel_m": self.volume.voxel_m,
+            "blocks": self.volume.block_count,
+            "memory_bytes": self.volume.memory_bytes,
+            "pieces_removed": self.surface.pieces,
+            "holes_filled": self.surface.filled,
+            "holes_open": self.surface.open,
+            "surfaces": [self.written.to_json()],
+        }
 
-def _values(
-    report: FuseReport, surface: FusedSurface, volume: SurfaceVolume, poses: CameraPoses, written: WrittenFile
-) -> dict[str, Any]:
-    return report.to_json() | {
-        "poses": poses.text,
-        "voxel_m": volume.voxel_m,
-        "blocks": volume.block_count,
-        "memory_bytes": volume.memory_bytes,
-        "pieces_removed": surface.pieces,
-        "holes_filled": surface.filled,
-        "holes_open": surface.open,
-        "surfaces": [written.to_json()],
-    }
-
-
-def _tables(
-    report: FuseReport,
-    surface: FusedSurface,
-    volume: SurfaceVolume,
-    poses: CameraPoses,
-    written: WrittenFile,
-    preview: Path | None,
-) -> Iterator[TextTable]:
-    facts = facts_table()
-    facts.add_row("pairs fused", f"{report.fused} of {report.pairs}")
-    if report.without_pose:
-        facts.add_row("without pose", str(report.without_pose))
-    if report.skipped:
-        facts.add_row("skipped", str(report.skipped))
-    facts.add_row("poses", poses.text)
-    facts.add_row("way of the camera", f"{report.path_m:.2f} m")
-    left_out = ((report.too_far, "too far"), (report.uncertain, "too uncertain"), (report.alone, "between surfaces"))
-    reasons = ", ".join(f"{count} {why}" for count, why in left_out if count)
-    facts.add_row("pixels fused", f"{report.used}{f'; {reasons}' if reasons else ''}")
-    if not math.isnan(report.apart):
-        facts.add_row("images differ by", f"{report.apart:.2f} widths of the truncation band")
-    facts.add_row(
-        "volume",
-        f"voxels of {volume.voxel_m:g} m, {volume.block_count} blocks, {volume.memory_bytes / 2**20:.0f} MiB",
-    )
-    facts.add_row("time of a fusion", f"{report.integrate_ms:.0f} ms")
-    if surface.pieces:
-        facts.add_row("small pieces removed", f"{surface.pieces}, {surface.piece_triangles} triangles")
-    if surface.filled or surface.open:
-        facts.add_row("holes filled", f"{surface.filled}; {surface.open} stay open, rays have crossed them")
-    if len(surface.mesh.points_m):
-        low, high = np.percentile(surface.mesh.points_m, [0.5, 99.5], axis=0)
+    def tables(self) -> Iterator[TextTable]:
+        facts, report, mesh = facts_table(), self.report, self.surface.mesh
+        facts.add_row("pairs fused", f"{report.fused} of {report.pairs}")
+        if report.without_pose:
+            facts.add_row("without pose", str(report.without_pose))
+        if report.skipped:
+            facts.add_row("skipped", str(report.skipped))
+        facts.add_row("poses", self.poses.text)
+        if self.refinement is not None:
+            facts.add_row("poses refined", self.refinement.text)
+        facts.add_row("way of the camera", f"{report.path_m:.2f} m")
+        left_out = (
+            (report.too_far, "too far"),
+            (report.uncertain, "too uncertain"),
+            (report.alone, "between surfaces"),
+        )
+        reasons = ", ".join(f"{count} {why}" for count, why in left_out if count)
+        facts.add_row("pixels fused", f"{report.used}{f'; left out: {reasons}' if reasons else ''}")
+        if not math.isnan(report.apart):
+            facts.add_row("images differ by", f"{report.apart:.2f} widths of the truncation band")
+        memory = f"{self.volume.block_count} blocks, {self.volume.memory_bytes / 2**20:.0f} MiB"
+        facts.add_row("volume", f"voxels of {self.volume.voxel_m:g} m, {memory}")
+        facts.add_row("time of a fusion", f"{report.integrate_ms:.0f} ms")
+        if self.surface.pieces:
+            facts.add_row("small pieces removed", f"{self.surface.pieces}, {self.surface.piece_triangles} triangles")
+        if self.surface.filled or self.surface.open:
+            facts.add_row(
+                "holes filled", f"{self.surface.filled}; {self.surface.open} stay open, rays have crossed them"
+            )
+        low, high = np.percentile(mesh.points_m, [0.5, 99.5], axis=0)
         facts.add_row("size", " x ".join(f"{extent:.2f}" for extent in high - low) + " m, 99 % of the points")
-        sigma_mm = 1e3 * float(np.nanmedian(surface.mesh.sigma_m))
-        facts.add_row("standard deviation", f"median {sigma_mm:.2f} mm, if the errors of the images are independent")
-    add_files(facts, [written])
-    if preview is not None:
-        facts.add_row("preview", str(preview))
-    yield facts
+        sigma_mm = 1e3 * float(np.nanmedian(mesh.sigma_m))
+        facts.add_row(
+            "standard deviation", f"median {sigma_mm:.2f} mm along the rays, if images have independent errors"
+        )
+        add_files(facts, [self.written])
+        if self.preview is not None:
+            facts.add_row("preview", str(self.preview))
+        yield facts
