@@ -138,7 +138,7 @@ class RgbdDataset:
         return RgbdFrame(number, stamp_ns, color_path.name, color, depth_m.astype(np.float32))
 
     def _undistorted(self, color: U8, depth_m: F32) -> tuple[U8, F32]:
-        """Both images without lens distortion; depths are those of the nearest pixels: a mean of two is that of none."""
+        """Both images without lens distortion; depths are those of nearest pixels: a mean of two is that of none."""
         model, size = self._raw, (self._raw.width, self._raw.height)
         K = self.camera.K
         if model.distortion_model == "equidistant":
