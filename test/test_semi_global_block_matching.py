@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stereo_depth_ros.config import MatchingConfig
-from stereo_depth_ros.core.types import U8
+from stereo_depth_ros.core.types import U8, Reason
 from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.matching.sgm.block_costs import I16
 from stereo_depth_ros.matching.sgm.semi_global_block_matching import penalties
@@ -106,6 +106,20 @@ def test_sums_that_saturate(mode: int, P2: float) -> None:
         uniqueness_ratio=0.0,
         sgbm_mode=mode,
     )
+
+
+@pytest.mark.parametrize("mode", [0, 1])
+@pytest.mark.parametrize("low", [-50, -32, 0, 7])
+def test_images_with_no_or_one_column_that_has_all_disparities(mode: int, low: int) -> None:
+    rng = np.random.default_rng(low + 100)
+    fields = {"num_disparities": 32, "min_disparity": low, "correlation_window_size": 1, "sgbm_mode": mode}
+    columns = 0 if low + 32 > 0 else 1  # of the smallest image that a matcher accepts
+    width = columns + max(0, low + 32) + max(0, -low)
+    left, right = rng.integers(0, 256, (2, 9, width + 1)).astype(np.uint8)
+    check_equal(left, right, **fields)
+    if columns == 0:  # an error of OpenCV
+        result = create_matcher("sgbm", **fields).match(left[:, 1:], right[:, 1:])
+        assert (result.reasons == Reason.BORDER).all()
 
 
 def test_images_without_texture_and_of_other_sizes_follow_each_other() -> None:

@@ -27,6 +27,7 @@ from stereo_depth_ros.core.types import U8, U16
 from stereo_depth_ros.core.vectors import (
     BYTES,
     WORDS,
+    add,
     add_saturated,
     at_most,
     bit_count,
@@ -56,6 +57,7 @@ LARGEST = np.int16(2**15 - 1)
 _LEAST = np.int16(-(2**15))
 _ZERO = np.int16(0)
 _STEPS = 16  # per px
+_NOWHERE = 1 << 20
 
 
 class BlockSearch(NamedTuple):
@@ -86,7 +88,12 @@ class BlockScratch(NamedTuple):
     above: I16  # (3, N K) path costs from the row before, from the left, straight and from the right
     least: I16  # (3, N) their minima
     unused: I16  # (K,) LARGEST where there is no disparity, else the lowest number
-    total: I16  # (K,) sums of a pixel
+    lowest: I16  # (N,) lowest sum of each pixel
+    limits: I16  # (N,) see _set_limits
+    best: I16  # (N,) index of the disparity with the lowest sum, and the sums of its neighbors
+    before: I16
+    after: I16
+    unique: U8  # (N,) whether it is the winner
     right_total: I16  # (W,) the lowest sum of each right pixel, and its disparity, px
     right: I16
 
@@ -94,7 +101,8 @@ class BlockScratch(NamedTuple):
     def allocate(cls, height: int, width: int, search: BlockSearch) -> BlockScratch:
         """Buffers for images of this size."""
         count = padded_count(search.num_disparities)
-        row = (width + min(0, search.min_disparity) - search.begin) * count
+        columns = width + min(0, search.min_disparity) - search.begin
+        row = columns * count
         rows = height if search.both_ways else 1
         index = np.arange(count)
         disparity = index // BYTES * BYTES + index % WORDS * 2 + index % BYTES // WORDS
@@ -107,9 +115,14 @@ class BlockScratch(NamedTuple):
             totals=on_pages((rows, row), np.int16),
             along=on_pages((count,), np.int16),
             above=on_pages((3, row), np.int16),
-            least=np.zeros((3, row // count), np.int16),
+            least=np.zeros((3, columns), np.int16),
             unused=np.where(disparity < search.num_disparities, _LEAST, LARGEST),
-            total=on_pages((count,), np.int16),
+            lowest=np.empty(columns, np.int16),
+            limits=np.empty(columns, np.int16),
+            best=np.empty(columns, np.int16),
+            before=np.empty(columns, np.int16),
+            after=np.empty(columns, np.int16),
+            unique=np.empty(columns, np.uint8),
             right_total=np.empty(width, np.int16),
             right=np.empty(width, np.int16),
         )
@@ -158,7 +171,7 @@ def _sum_paths(t: int, back: bool, search: BlockSearch, s: BlockScratch, windows
     width = windows.size // count
     padded = count > search.num_disparities
     along, left, straight, right = s.along, s.above[0], s.above[1], s.above[2]
-    top, P1 = repeat(LARGEST), repeat(search.P1)
+    top, P1, P2 = repeat(LARGEST), repeat(search.P1), repeat(search.P2)
     turn = t % width
     start_left, start_right = _turn(-turn, width) * count, _turn(width - 1 + turn, width) * count
     along[:] = 0
@@ -171,10 +184,10 @@ def _sum_paths(t: int, back: bool, search: BlockSearch, s: BlockScratch, windows
         x = width - 1 - i if back else i
         x_left, x_right = _turn(x - turn, width), _turn(x + turn, width)
         at_left, at_right, at = x_left * count, x_right * count, x * count
-        delta = repeat(np.int16(least + search.P2))
-        delta_left = repeat(np.int16(s.least[0, x_left] + search.P2))
-        delta_straight = repeat(np.int16(s.least[1, x] + search.P2))
-        delta_right = repeat(np.int16(s.least[2, x_right] + search.P2))
+        delta = add(repeat(least), P2)
+        delta_left = add(repeat(s.least[0, x_left]), P2)
+        delta_straight = add(repeat(s.least[1, x]), P2)
+        delta_right = add(repeat(s.least[2, x_right]), P2)
         low, low_left, low_straight, low_right = top, top, top, top
         before, before_left, before_straight, before_right = top, top, top, top
         even, even_left = load(along, 0), load(left, at_left)
@@ -221,81 +234,18 @@ def _sum_paths(t: int, back: bool, search: BlockSearch, s: BlockScratch, windows
 
 
 @compiled(allocates=False)
-def _place(d: int) -> int:
-    """Index of a disparity."""
-    return d // BYTES * BYTES + d % 2 * WORDS + d % BYTES // 2
-
-
-@compiled(allocates=False)
-def _first_place(totals: I16, least: np.int16) -> int:
-    """The first disparity with the lowest sum."""
-    lowest = repeat(least)
-    for k in range(0, totals.size, BYTES):
-        even = first_lane(equal(load(totals, k), lowest))
-        odd = first_lane(equal(load(totals, k + WORDS), lowest))
-        if even < 64 or odd < 64:
-            return int(k + min(2 * even, 2 * odd + 1))
-    return 0
-
-
-@compiled(allocates=False)
-def _is_unique(totals: I16, d: int, least: np.int16, search: BlockSearch) -> bool:
-    """Whether no sum but those of d - 1, d and d + 1 is so near to the lowest."""
-    share = 100 - search.uniqueness
-    if share == 0:
-        return bool(least <= 0)
-    limit = np.floor((100.0 * least - 1.0) / share)  # exact: a fraction of it is at least 1/100
-    if limit >= LARGEST:
-        return False
-    limit16 = np.int16(max(limit, _LEAST))
-    limits = repeat(limit16)
-    near, own = 0, 1
-    for k in range(0, totals.size, BYTES):
-        near += bit_count(at_most(load(totals, k), limits))
-        near += bit_count(at_most(load(totals, k + WORDS), limits))
-    if d > 0:
-        own += int(totals[_place(d - 1)] <= limit16)
-    if d < search.num_disparities - 1:
-        own += int(totals[_place(d + 1)] <= limit16)
-    return near <= own
-
-
-@compiled(allocates=False)
-def _take_winner(totals: I16, x: int, least: np.int16, search: BlockSearch, s: BlockScratch, disparity: I16) -> None:
-    if least == LARGEST:
-        return
-    d = _first_place(totals, least)
-    if not _is_unique(totals, d, least, search):
-        return
-    x_right = x - d - search.min_disparity
-    if s.right_total[x_right] > least:
-        s.right_total[x_right] = least
-        s.right[x_right] = np.int16(d + search.min_disparity)
-    steps = d * _STEPS
-    if 0 < d < search.num_disparities - 1:
-        before, after = int(totals[_place(d - 1)]), int(totals[_place(d + 1)])
-        curvature = max(before + after - 2 * int(least), 1)
-        steps += int(((before - after) * _STEPS + curvature) / (2 * curvature))  # exact, rounded to 0
-    disparity[x] = np.int16(steps + search.min_disparity * _STEPS)
-
-
-@compiled(allocates=False)
-def _select_winners(search: BlockSearch, s: BlockScratch, windows: I16, totals: I16, disparity: I16) -> None:
-    """Disparities of a row from the sums over all paths; the path from the right is added to those of one way."""
-    count, width = s.along.size, totals.size // s.along.size
+def _finish_sums(search: BlockSearch, s: BlockScratch, windows: I16, totals: I16) -> None:
+    """Add the path from the right, unless the paths had both ways, and find the lowest sum of each pixel of a row."""
+    count, width = s.along.size, s.lowest.size
     padded = count > search.num_disparities
-    along, total = s.along, s.total
-    invalid = np.int16((search.min_disparity - 1) * _STEPS)
-    disparity[:] = invalid
-    s.right[:] = invalid
-    s.right_total[:] = LARGEST
+    along = s.along
     along[:] = 0
-    top, P1 = repeat(LARGEST), repeat(search.P1)
+    top, P1, P2 = repeat(LARGEST), repeat(search.P1), repeat(search.P2)
     least = _ZERO
     for i in range(width):
         x = width - 1 - i
         at = x * count
-        delta = repeat(np.int16(least + search.P2))
+        delta = add(repeat(least), P2)
         low, lowest, before = top, top, top
         even = load(along, 0)
         for k in range(0, count, BYTES):
@@ -310,11 +260,92 @@ def _select_winners(search: BlockSearch, s: BlockScratch, windows: I16, totals: 
                 store(along, k + WORDS, o)
                 low = minimum(low, minimum(e, o))
                 t_even, t_odd = add_saturated(t_even, e), add_saturated(t_odd, o)
-            store(total, k, t_even)
-            store(total, k + WORDS, t_odd)
+                store(totals, at + k, t_even)
+                store(totals, at + k + WORDS, t_odd)
             lowest = minimum(lowest, minimum(t_even, t_odd))
         least = least_lane(low)
-        _take_winner(total, search.begin + x, least_lane(lowest), search, s, disparity)
+        s.lowest[x] = least_lane(lowest)
+
+
+@compiled(allocates=False)
+def _set_limits(uniqueness: int, lowest: I16, limits: I16) -> None:
+    """Limits of sums that are too near to the lowest: S (100 - uniqueness) < 100 lowest is S <= limit.
+
+    All sums are where there is no winner, because all of them saturate or nothing but 0 is unique.
+    """
+    share = np.float32(100 - uniqueness)
+    for x in range(lowest.size):
+        least = np.float32(lowest[x])
+        if share > 0:
+            limit = np.floor((np.float32(100) * least - np.float32(1)) / share)  # exact below LARGEST
+        else:
+            limit = np.float32(LARGEST) if least > 0 else np.float32(_LEAST)
+        if lowest[x] == LARGEST:
+            limit = np.float32(LARGEST)
+        limits[x] = np.int16(np.int32(min(max(limit, np.float32(_LEAST)), np.float32(LARGEST))))
+
+
+@compiled(allocates=False)
+def _place(d: int) -> int:
+    """Index of a disparity among the sums of a pixel."""
+    return (d & -BYTES) + (d & 1) * WORDS + ((d & (BYTES - 1)) >> 1)
+
+
+@compiled(allocates=False)
+def _find_winners(search: BlockSearch, s: BlockScratch, totals: I16) -> None:
+    """Of each pixel of a row the first disparity with the lowest sum, its neighbors, and whether no other is as near.
+
+    Without branches, which a processor could not predict.
+    """
+    count, end = s.along.size, search.num_disparities - 1
+    for x in range(s.lowest.size):
+        at = x * count
+        lowest, limits = repeat(s.lowest[x]), repeat(s.limits[x])
+        d, near = _NOWHERE, 0
+        for k in range(0, count, BYTES):
+            t_even, t_odd = load(totals, at + k), load(totals, at + k + WORDS)
+            even, odd = first_lane(equal(t_even, lowest)), first_lane(equal(t_odd, lowest))
+            nowhere = ((even & odd) >> 6) * _NOWHERE  # at 64
+            d = min(d, k + min(2 * even, 2 * odd + 1) + nowhere)
+            near += bit_count(at_most(t_even, limits)) + bit_count(at_most(t_odd, limits))
+        before, after = totals[at + _place(max(d - 1, 0))], totals[at + _place(min(d + 1, end))]
+        limit = s.limits[x]
+        own = int(s.lowest[x] <= limit) + int(d > 0) * int(before <= limit) + int(d < end) * int(after <= limit)
+        s.best[x] = np.int16(d)
+        s.before[x], s.after[x] = before, after
+        s.unique[x] = np.uint8(near == own)
+
+
+@compiled(allocates=False)
+def _set_right(search: BlockSearch, s: BlockScratch) -> None:
+    """The left pixel with the lowest sum for each right pixel of a row; of equal ones the one most to the right."""
+    s.right[:] = np.int16((search.min_disparity - 1) * _STEPS)
+    s.right_total[:] = LARGEST
+    for i in range(s.best.size):
+        x = s.best.size - 1 - i
+        disparity = int(s.best[x]) + search.min_disparity
+        at = search.begin + x - disparity
+        total, least = s.right_total[at], s.lowest[x]
+        better = s.unique[x] != 0 and total > least
+        s.right_total[at] = least if better else total
+        s.right[at] = np.int16(disparity) if better else s.right[at]
+
+
+@compiled(allocates=False)
+def _set_disparities(search: BlockSearch, s: BlockScratch, disparity: I16) -> None:
+    """Sub-pixel disparities of the winners of a row, by a parabola through three sums."""
+    invalid = np.int32((search.min_disparity - 1) * _STEPS)
+    first, end = np.int32(search.min_disparity * _STEPS), np.int16(search.num_disparities - 1)
+    disparity[:] = np.int16(invalid)
+    row = disparity[search.begin : search.begin + s.best.size]
+    for x in range(s.best.size):
+        before, after, best = np.int32(s.before[x]), np.int32(s.after[x]), s.best[x]
+        curvature = max(np.int32(np.int32(before + after) - np.int32(2 * np.int32(s.lowest[x]))), np.int32(1))
+        slope = np.int32(np.int32(np.int32(before - after) * np.int32(_STEPS)) + curvature)
+        part = np.int32(np.float32(slope) / np.float32(np.int32(2 * curvature)))  # exact, rounded to 0
+        inside = best > 0 and best < end
+        steps = np.int32(np.int32(np.int32(best) * np.int32(_STEPS)) + (part if inside else np.int32(0)))
+        row[x] = np.int16(np.int32(steps + first) if s.unique[x] else invalid)
 
 
 @compiled(allocates=False)
@@ -364,7 +395,8 @@ _SEARCH = numba.types.NamedTuple([int64] * 5 + [int16, int16, int64, int64, numb
 _SCRATCH = numba.types.NamedTuple(
     [
         *(uint8[::1], uint8[:, :, ::1], uint8[:, ::1], uint16[:, ::1], int16[:, ::1], int16[:, ::1]),
-        *(int16[::1], int16[:, ::1], int16[:, ::1], int16[::1], int16[::1], int16[::1], int16[::1]),
+        *(int16[::1], int16[:, ::1], int16[:, ::1], int16[::1]),
+        *(int16[::1], int16[::1], int16[::1], int16[::1], int16[::1], uint8[::1], int16[::1], int16[::1]),
     ],
     BlockScratch,
 )
@@ -375,6 +407,9 @@ def match_blocks(left: U8, right: U8, search: BlockSearch, scratch: BlockScratch
     """Disparities in 1/16 px, int16 (H, W); ``16 (min_disparity - 1)`` where there is none."""
     s = scratch
     height, known = len(left), 0
+    if s.lowest.size == 0:
+        disparity_x16[:] = np.int16((search.min_disparity - 1) * _STEPS)
+        return
     for back in range(1 + search.both_ways):
         s.above[:] = 0
         s.least[:] = 0
@@ -385,5 +420,9 @@ def match_blocks(left: U8, right: U8, search: BlockSearch, scratch: BlockScratch
                 known = _sum_windows(left, right, y, known, search, s)
             _sum_paths(t, back > 0, search, s, windows, totals)
             if back or not search.both_ways:
-                _select_winners(search, s, windows, totals, disparity_x16[y])
+                _finish_sums(search, s, windows, totals)
+                _set_limits(search.uniqueness, s.lowest, s.limits)
+                _find_winners(search, s, totals)
+                _set_right(search, s)
+                _set_disparities(search, s, disparity_x16[y])
                 _check_left_right(search, s, disparity_x16[y])
