@@ -59,6 +59,7 @@ class BagReader:
 
     Attributes:
         topics: type and number of messages per topic.
+        types: deserializes messages.
         start_ns, end_ns: log times of the first and the last message.
         truncated: a file of the bag is cut; only the messages before the cut are read.
 
@@ -68,7 +69,7 @@ class BagReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._types = RosbagsTypes()
+        self.types = RosbagsTypes()
         with ExitStack() as stack:
             self._sources, self._notes = open_sources(path, stack)
             self.topics = self._merge_topics()
@@ -137,7 +138,7 @@ class BagReader:
             MessageError: a type that ROS 2 Jazzy does not have, or bytes that are not a message of this type.
         """
         try:
-            return self._types.deserialize(message.data, message.msgtype)
+            return self.types.deserialize(message.data, message.msgtype)
         except MessageError as error:
             raise error.about(f"{self.path}, {message.topic} at {message.log_time_ns} ns") from error
 
@@ -166,12 +167,12 @@ class BagReader:
         """
         for channel, _ in source.counts:
             if channel.topic in topics:
-                check_convertible(self._types, channel)
+                check_convertible(self.types, channel)
         yield source.start_ns, None
         for message in source.messages(topics, start_ns, end_ns, waiting):
             channel = message.channel
             try:
-                cdr = to_cdr(self._types, message, source.budget)
+                cdr = to_cdr(self.types, message, source.budget)
             except Exception as error:  # those of the libraries that parse it have no common base class
                 source.losses.add_messages((source.path, *message.place), channel.topic, 1, cause_text(error))
             else:

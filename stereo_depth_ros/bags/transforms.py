@@ -11,23 +11,13 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.core.errors import MessageError, TransformError
-from stereo_depth_ros.core.pose import Pose
-from stereo_depth_ros.core.transforms import Transforms
+from stereo_depth_ros.core.transforms import StaticTransform, Transforms
 from stereo_depth_ros.messages.transforms import ODOMETRY_TYPE, TF_TYPE, add_odometry, add_transforms
 from stereo_depth_ros.messages.types import make_header
 
-__all__ = ["STATIC_TOPIC", "BagTransforms", "StaticTransform", "read_transforms", "write_static_transforms"]
+__all__ = ["STATIC_TOPIC", "BagTransforms", "read_transforms", "write_static_transforms"]
 
 STATIC_TOPIC, TOPIC = "/tf_static", "/tf"
-
-
-@dataclass(frozen=True)
-class StaticTransform:
-    """A transform that never changes: ``parent_from_child`` takes points of the child to the parent."""
-
-    parent: str
-    child: str
-    parent_from_child: Pose
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ Geiger et al., "Vision meets robotics: the KITTI dataset", IJRR 2013.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["KITTI", "is_kitti", "parse_calibration", "read_kitti", "reference_from_camera", "rig_from_calibration"]
+__all__ = ["KITTI", "is_kitti", "matrix_of", "parse_calibration", "read_kitti", "reference_from_camera", "rig_from_calibration"]
 
 KITTI = "KITTI calibration"
 _GRAY = (0, 1)  # numbers of the cameras
@@ -152,11 +153,16 @@ def _lacks(values: dict[str, F64], error: KeyError) -> BagError:
 
 def _projection(values: dict[str, F64], camera: int) -> F64:
     name = f"P{camera}" if f"P{camera}" in values else f"P_rect_{camera:02d}"
-    return _matrix(values, name, (3, 4))
+    return matrix_of(values, name, (3, 4))
 
 
-def _matrix(values: dict[str, F64], name: str, shape: tuple[int, int]) -> F64:
-    """The values of one row as a matrix; KeyError if the row is missing."""
+def matrix_of(values: Mapping[str, F64], name: str, shape: tuple[int, int]) -> F64:
+    """The values of one row as a matrix.
+
+    Raises:
+        KeyError: the row is missing.
+        BagError: it has another number of values.
+    """
     found = values[name]
     if found.size != shape[0] * shape[1]:
         raise BagError(
@@ -169,7 +175,7 @@ def _matrix(values: dict[str, F64], name: str, shape: tuple[int, int]) -> F64:
 
 
 def _raw_camera(values: dict[str, F64], camera: int, rectified: CameraModel) -> CameraModel:
-    K, R = (_matrix(values, f"{name}_{camera:02d}", (3, 3)) for name in ("K", "R_rect"))
+    K, R = (matrix_of(values, f"{name}_{camera:02d}", (3, 3)) for name in ("K", "R_rect"))
     return CameraModel(
         rectified.width,
         rectified.height,

@@ -8,7 +8,7 @@ import csv
 import functools
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,13 +26,15 @@ from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progre
 from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.config.values import pipeline_config
-from stereo_depth_ros.core.errors import BagError, ConfigError, StereoDepthError
+from stereo_depth_ros.core.errors import BagError, ConfigError, StereoDepthError, TopicError
 from stereo_depth_ros.diagnosis.opening import open_selection
 from stereo_depth_ros.evaluation.bag_scenes import BagScenes
+from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.evaluator import Evaluation
 from stereo_depth_ros.evaluation.evaluator import evaluate as evaluate_matcher
 from stereo_depth_ros.evaluation.plausibility import check_plausible
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSet, SceneSource, find_scenes
+from stereo_depth_ros.evaluation.truth import TruthOption
 from stereo_depth_ros.files.output import check_outputs, write_file
 from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.plots.curve import curve_plot
@@ -61,6 +63,22 @@ def evaluate(
     camera_info: CameraInfo = None,
     param: Params = None,
     side_by_side: SideBySide = False,
+    truth: Annotated[
+        str,
+        typer.Option(
+            metavar="TOPIC",
+            help="Take the truth from this topic of a bag: disparities, or a range sensor, PointCloud2, LaserScan or a "
+            "depth Image.",
+        ),
+    ] = TRUTH_TOPIC,
+    extrinsics: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Read the pose of the range sensor in this file, YAML or the calibration of KITTI, instead of "
+            "/tf_static and /tf.",
+        ),
+    ] = None,
     json_file: Json = None,
     csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the results as CSV.")] = None,
     plots: Annotated[
@@ -72,7 +90,8 @@ def evaluate(
 
     DIR is a Middlebury scene of 2001 to 2014, an ETH3D two-view scene or a KITTI stereo training folder, or a folder
     that contains such folders up to two levels down; no calibration is needed. BAG contains /truth/disparity, as
-    written by `convert` and `synthesize`.
+    written by `convert` and `synthesize`, or the topic of a range sensor that --truth names: its points are projected
+    into the left image, without those that the camera does not see, see docs/range_sensor.md.
 
     The disparity range of a scene is the smallest multiple of 16 (at least 32) above its largest true disparity, the
     same for every matcher, unless it is set by --param disparity_range:=...
@@ -93,6 +112,7 @@ def evaluate(
       stereo-depth evaluate Motorcycle-perfect --matcher sgbm
       stereo-depth evaluate middlebury eth3d --matcher bm --matcher sgbm --json scores.json --plots out
       stereo-depth evaluate room.mcap --matcher sgbm --param disparity_range:=128 --param P1:=100
+      stereo-depth evaluate drive.mcap --matcher sgm --truth /velodyne_points
     """
     values = given_parameters(param or (), matcher, stages=("matching",))
     _check_options(matcher, plots, csv_file)
@@ -100,17 +120,21 @@ def evaluate(
     # Reports unknown matchers and invalid parameters before anything runs.
     pair_count = max(create_matcher(name, config).pair_count for name in matcher)
     files = rig_file_paths(camera_info) if camera_info else []
-    sets = [_scenes(place, side_by_side, camera_info or (), pair_count, config.temporal_gap_ns) for place in places]
+    option = TruthOption(truth, extrinsics)
+    sets = [
+        _scenes(place, side_by_side, camera_info or (), option, pair_count, config.temporal_gap_ns) for place in places
+    ]
     inputs = [*files, *(path for scenes in sets for path in _files(scenes)), *parameter_files(None, values)]
     plot_files = list(_plot_files(plots, sets, matcher)) if plots is not None else []
     check_outputs(plot_files, inputs, reports=[json_file, csv_file], overwrite=overwrite)
     plot = functools.partial(_plot, plots, overwrite) if plots is not None else None
     rows, skipped = _run(sets, matcher, config, list(values), plot)
+    facts = {str(scenes.path): scenes.facts for scenes in sets if isinstance(scenes, BagScenes) and scenes.facts}
     if not rows:
-        raise skipped[0].about("nothing could be evaluated")
+        raise _nothing(skipped, facts, truth)
     if csv_file is not None:
         write_file(csv_file, _csv(rows), overwrite=overwrite)
-    show(evaluate_tables(rows, "disparity_range" in values, plots), rows, json_file, overwrite=overwrite)
+    show(evaluate_tables(rows, "disparity_range" in values, plots, facts), rows, json_file, overwrite=overwrite)
     for text in bias_warnings(rows):
         warn(text)
     for error in skipped:
@@ -128,8 +152,27 @@ def _check_options(matchers: list[str], plots: Path | None, csv_file: Path | Non
         raise ConfigError("--csv - names no file", value="-", remedy="name one, or write JSON by --json -")
 
 
+def _nothing(skipped: list[StereoDepthError], facts: Mapping[str, str], truth: str) -> StereoDepthError:
+    """The error where there is not one result."""
+    if skipped:
+        return skipped[0].about("nothing could be evaluated")
+    return TopicError(
+        f"no pair has a truth on {truth}" + "".join(f"; {text}" for text in facts.values()),
+        subject="nothing could be evaluated",
+        value=0,
+        limit=1,
+        remedy="record both at the same time, with the same clock",
+        settings=("truth",),
+    )
+
+
 def _scenes(
-    place: Path, side_by_side: bool, camera_files: Sequence[Path], pair_count: int, gap_ns: int | None
+    place: Path,
+    side_by_side: bool,
+    camera_files: Sequence[Path],
+    truth: TruthOption,
+    pair_count: int,
+    gap_ns: int | None,
 ) -> SceneSet:
     if not place.exists():
         raise BagError("does not exist", subject=str(place), remedy="name a folder of a dataset, or a bag")
@@ -138,16 +181,21 @@ def _scenes(
             raise ConfigError(
                 "--side-by-side has no effect with a folder", subject=str(place), remedy="leave it out, or name a bag"
             )
-        if camera_files:
-            raise ConfigError(
-                "--camera-info has no effect with a folder", subject=str(place), remedy="leave it out, or name a bag"
-            )
+        for name, is_given in (
+            ("--camera-info", bool(camera_files)),
+            ("--truth", truth.topic != TRUTH_TOPIC),
+            ("--extrinsics", truth.extrinsics is not None),
+        ):
+            if is_given:
+                raise ConfigError(
+                    f"{name} has no effect with a folder", subject=str(place), remedy="leave it out, or name a bag"
+                )
         return find_scenes(place)
     given = BagSelection(place, side_by_side=side_by_side, camera_files=tuple(camera_files))
     selection, choice = open_selection(given, PairingConfig())
     if choice:
         warn(choice)
-    return BagScenes(selection, pair_count, gap_ns)
+    return BagScenes(selection, pair_count, gap_ns, truth)
 
 
 def _files(scenes: SceneSet) -> list[Path]:

@@ -44,9 +44,15 @@ _COSTS: Columns = {
 
 
 def evaluate_tables(
-    rows: Sequence[Mapping[str, Any]], range_given: bool, plots: Path | None = None
+    rows: Sequence[Mapping[str, Any]],
+    range_given: bool,
+    plots: Path | None = None,
+    truths: Mapping[str, str] | None = None,
 ) -> Iterator[TextTable]:
-    """A row for each scene and method, the means of each method, and the definitions of the figures."""
+    """A row for each scene and method, the means of each method, and the definitions of the figures.
+
+    ``truths`` tells by bag where its truth comes from.
+    """
     yield _scenes_table(rows, "", _SCENE_COLUMNS)
     yield _scenes_table(rows, "near depth edges and on thin structures", _HARD_REGIONS)
     yield _means_table(rows, "mean errors", _ERRORS)
@@ -69,6 +75,8 @@ def evaluate_tables(
     masked = list(dict.fromkeys(row["scene"] for row in rows if row["occlusion"] == "mask"))
     given = f"; {', '.join(masked)}: mask of the dataset" if masked else ""
     facts.add_row("occlusion", f"computed from the true disparities{given}")
+    for bag, text in (truths or {}).items():
+        facts.add_row("truth", f"{bag}: {text}")
     if plots is not None:
         facts.add_row("plots", str(plots))
     yield facts

@@ -11,9 +11,18 @@ from stereo_depth_ros.core.errors import TransformError
 from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.quoted import quoted
 
-__all__ = ["Transforms"]
+__all__ = ["StaticTransform", "Transforms"]
 
 _SHOWN = 8  # names of frames in an error
+
+
+@dataclass(frozen=True)
+class StaticTransform:
+    """A transform that never changes: ``parent_from_child`` takes points of the child to the parent."""
+
+    parent: str
+    child: str
+    parent_from_child: Pose
 
 
 @dataclass

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes of a bag: the pairs with true disparities on /truth/disparity, rectified."""
+"""Scenes of a bag: the pairs with true disparities, or with a sweep of a range sensor, rectified."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import NamedTuple
@@ -15,17 +16,17 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, SerializedPair
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
-from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
-from stereo_depth_ros.core.errors import StereoDepthError, TopicError
+from stereo_depth_ros.core.camera_info import camera_from_info
+from stereo_depth_ros.core.errors import CalibrationError, MessageError, StereoDepthError
 from stereo_depth_ros.core.pair_memory import PairMemory
+from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import RectifiedPair
-from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
+from stereo_depth_ros.evaluation.truth import DisparityTruth, RangeTruth, Truth, TruthOption, TruthSource, open_truth
 from stereo_depth_ros.matching.protocol import Images
-from stereo_depth_ros.messages.disparity import matched_disparity
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["BagScenes"]
@@ -41,7 +42,7 @@ class _Rectified(NamedTuple):
 
 
 class BagScenes:
-    """The pairs of a bag whose left image has the stamp of a message on ``/truth/disparity``.
+    """The pairs of a bag whose left image has the stamp of true disparities, or a sweep of a range sensor.
 
     Where the rectified left image has no source pixel in the raw one, the truth is unknown.
 
@@ -49,56 +50,75 @@ class BagScenes:
         selection: the bag and its topics; it is read to the end.
         pair_count: number of pairs that the matchers match together, see :class:`Scene`.
         gap_ns: longest time between these, see :class:`PairMemory`.
+        truth: the topic of the truth, see :func:`open_truth`.
 
     Attributes:
+        path: of the bag.
         names: every name that one of the scenes may have.
         files: all files that are read.
 
     Raises:
         BagError: not a readable bag.
-        TopicError: no true disparities in it, or no stereo pair.
+        TopicError: no truth in it, or no stereo pair.
+        CalibrationError: a file of extrinsics that cannot be read.
     """
 
-    def __init__(self, selection: BagSelection, pair_count: int = 1, gap_ns: int | None = None) -> None:
+    def __init__(
+        self,
+        selection: BagSelection,
+        pair_count: int = 1,
+        gap_ns: int | None = None,
+        truth: TruthOption | None = None,
+    ) -> None:
         self._pair_count, self._gap_ns = pair_count, gap_ns
-        self._selection, self._path = selection, selection.path
+        self._selection, self.path = selection, selection.path
         self._types = RosbagsTypes()
         self._rectifiers = PerCalibration(self._types, lambda rig: (rig, Rectifier(rig)))
         self._depth, self._rectified_depth = BitDepth(), BitDepth()
-        with BagReader(self._path) as reader:
-            if TRUTH_TOPIC not in reader.topics:
-                raise TopicError(
-                    f"has no {TRUTH_TOPIC}, it has {', '.join(reader.topics)}",
-                    subject=str(self._path),
-                    value=list(reader.topics),
-                    limit=TRUTH_TOPIC,
-                    remedy="convert a dataset with true disparities, or synthesize a bag",
-                )
-            self._truth_type, self._count = reader.topics[TRUTH_TOPIC].msgtype, reader.topics[TRUTH_TOPIC].count
+        self._option = truth or TruthOption()
+        self._truth: TruthSource | None = None
+        with BagReader(self.path) as reader:
+            is_range = not isinstance(open_truth(reader, self._option), DisparityTruth)
+            count = 0 if is_range else reader.topics[self._option.topic].count
         with BagPairs(selection, PairingConfig()) as pairs:  # refuses a bag without pairs before anything runs
             self.names = [self._name(number) for number in range(pairs.count)]
-        self.files = bag_files(self._path)
+        self._count = len(self.names) if is_range else count
+        self.files = bag_files(self.path) + ([] if self._option.extrinsics is None else [self._option.extrinsics])
 
     def __len__(self) -> int:
         return self._count
 
     def __iter__(self) -> Iterator[SceneSource]:
-        with BagReader(self._path) as reader, BagPairs(self._selection, PairingConfig()) as pairs:
-            truths = StampedMessages().read(reader.messages([TRUTH_TOPIC]))
-            known = next(truths, None)
+        with BagReader(self.path) as reader, BagPairs(self._selection, PairingConfig()) as pairs:
+            self._truth = truth = open_truth(reader, self._option)
+            if isinstance(truth, RangeTruth) and pairs.topics.rectified and not self._selection.camera_files:
+                truth.turned = _rectified_from_left(reader, pairs.topics.left_info)
             memory: PairMemory[Images] = PairMemory(self._pair_count, self._gap_ns)
             for number, pair in enumerate(pairs.pairs()):
-                while known is not None and known[0] < pair.stamp_ns:
-                    known = next(truths, None)
                 rectified = cache(partial(self._rectified, pair, pairs.topics.image_type, memory))
-                if known is not None and known[0] == pair.stamp_ns:
-                    yield SceneSource(self._name(number), partial(self._load, rectified, known[1].data))
+                try:
+                    read = truth.of(pair.stamp_ns, partial(self._rig, pair, pairs.topics.image_type))
+                except (CalibrationError, MessageError):  # of this pair: loading it raises the same
+                    yield SceneSource(
+                        self._name(number), partial(self._load, rectified, lambda: Truth(np.zeros((0, 0), np.float32)))
+                    )
+                    continue
+                if read is not None:
+                    yield SceneSource(self._name(number), partial(self._load, rectified, read))
                 if self._pair_count > 1:
                     with contextlib.suppress(StereoDepthError):  # a pair that cannot be read is in no memory
                         rectified()
 
+    @property
+    def facts(self) -> str:
+        """Where the truth of the scenes that were read comes from; empty for disparities."""
+        return "" if self._truth is None else self._truth.facts
+
     def _name(self, number: int) -> str:
-        return f"{self._path.resolve().stem}/{number:04d}"
+        return f"{self.path.resolve().stem}/{number:04d}"
+
+    def _rig(self, pair: SerializedPair, image_type: str) -> StereoRig:
+        return self._rectifiers.of(pair, image_type)[0]
 
     def _rectified(self, pair: SerializedPair, image_type: str, memory: PairMemory[Images]) -> _Rectified:
         rig, rectifier = self._rectifiers.of(pair, image_type)
@@ -106,9 +126,19 @@ class BagScenes:
         earlier = memory.add((rectified.left, rectified.right), pair.stamp_ns, rig)
         return _Rectified(rig, rectifier, rectified, earlier)
 
-    def _load(self, source: Callable[[], _Rectified], truth: bytes) -> Scene:
+    def _load(self, source: Callable[[], _Rectified], read: Callable[[], Truth]) -> Scene:
         rig, rectifier, rectified, earlier = source()
-        truth_px = matched_disparity(self._types.deserialize(truth, self._truth_type), rig, TRUTH_TOPIC)
+        truth = read()
+        truth_px = truth.disparity_px
         if truth_px.shape == rectified.left.shape:  # make_scene refuses other sizes
             truth_px[~rectifier.left_source] = np.nan
-        return make_scene(rectified.left, rectified.right, truth_px, doffs_px=rig.doffs_px, earlier=earlier)
+        parts = (rectified.left, rectified.right, truth_px, truth.visible)
+        scene = make_scene(*parts, doffs_px=rig.doffs_px, earlier=earlier)
+        return dataclasses.replace(scene, occlusion="truth")
+
+
+def _rectified_from_left(reader: BagReader, topic: str | None) -> Pose | None:
+    """By R of the first camera info, which those of rectified images do not count otherwise; None where it has none."""
+    message = None if topic is None else next(reader.messages([topic]), None)
+    R = np.zeros((3, 3)) if message is None else camera_from_info(reader.deserialize(message)).R
+    return Pose(R, np.zeros(3)) if R.any() else None

@@ -17,10 +17,10 @@ from stereo_depth_ros.core.types import F32, F64
 from stereo_depth_ros.messages.types import NS_PER_S, stamp_ns
 from stereo_depth_ros.ranging.sensor_points import DEFAULT_SIGMA_M, I64, SensorPoints
 
-__all__ = ["RANGE_TYPES", "cloud_points", "depth_pixels", "depth_points", "range_points", "scan_points"]
+__all__ = ["IMAGE_TYPE", "RANGE_TYPES", "cloud_points", "depth_pixels", "depth_points", "range_points", "scan_points"]
 
-CLOUD, SCAN, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Image"
-RANGE_TYPES = (CLOUD, SCAN, IMAGE)
+IMAGE_TYPE = "sensor_msgs/msg/Image"
+RANGE_TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan", IMAGE_TYPE)
 
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
 # Names that drivers give to the time of a point, with the type that tells the unit: whole numbers are nanoseconds after
