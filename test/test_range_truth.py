@@ -37,8 +37,11 @@ def errors_of(path: Path, extrinsics: Path | None = None) -> tuple[list[F32], Ba
     return found, scenes
 
 
-@pytest.mark.parametrize(("kind", "fewest"), [("cloud", 3000), ("scan", 100), ("depth", 6500)])
-def test_truth_of_every_kind_of_sensor(tmp_path: Path, kind: str, fewest: int) -> None:
+# What hides the points of a single ring from a camera below is not seen by the scanner.
+@pytest.mark.parametrize(
+    ("kind", "fewest", "wrong"), [("cloud", 3000, 0.03), ("scan", 100, 0.16), ("depth", 6500, 0.03)]
+)
+def test_truth_of_every_kind_of_sensor(tmp_path: Path, kind: str, fewest: int, wrong: float) -> None:
     write_range_bag(tmp_path / "bag.mcap", kind)
     found, scenes = errors_of(tmp_path / "bag.mcap")
     assert len(found) == len(scenes) == FRAMES
@@ -46,7 +49,7 @@ def test_truth_of_every_kind_of_sensor(tmp_path: Path, kind: str, fewest: int) -
         assert errors.size >= fewest
         # noise of the ranges, the place in a pixel, and the pixels at depth steps
         assert np.median(np.abs(errors)) < 0.05
-        assert np.mean(np.abs(errors) > 1) < 0.03
+        assert np.mean(np.abs(errors) > 1) < wrong
     name = {
         "cloud": "PointCloud2 of frame lidar",
         "scan": "LaserScan of frame lidar",
