@@ -22,7 +22,7 @@ from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F64
 
-__all__ = ["KITTI", "is_kitti", "matrix_of", "parse_calibration", "read_kitti", "reference_from_camera", "rig_from_calibration"]
+__all__ = ["KITTI", "is_kitti", "matrix_of", "parse_calibration", "projection_of", "read_kitti", "reference_from_camera", "rig_from_calibration"]
 
 KITTI = "KITTI calibration"
 _GRAY = (0, 1)  # numbers of the cameras
@@ -103,7 +103,7 @@ def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size:
     """
     left, right = cameras
     try:
-        P_left, P_right = (_projection(values, camera) for camera in cameras)
+        P_left, P_right = (projection_of(values, camera) for camera in cameras)
     except KeyError as error:
         raise _lacks(values, error) from error
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # refused by the checks of a rig
@@ -151,7 +151,8 @@ def _lacks(values: dict[str, F64], error: KeyError) -> BagError:
     )
 
 
-def _projection(values: dict[str, F64], camera: int) -> F64:
+def projection_of(values: Mapping[str, F64], camera: int) -> F64:
+    """The projection of a rectified camera, float64 (3, 4): P0 or P_rect_00; raises as :func:`matrix_of`."""
     name = f"P{camera}" if f"P{camera}" in values else f"P_rect_{camera:02d}"
     return matrix_of(values, name, (3, 4))
 

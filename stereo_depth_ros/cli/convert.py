@@ -82,7 +82,8 @@ def middlebury(
 def kitti(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
     """Convert a KITTI sequence or benchmark.
 
-    Odometry and raw sequences and the training pairs of the stereo benchmarks are read.
+    Odometry and raw sequences and the training pairs of the stereo benchmarks are read. Where there are sweeps of the
+    laser scanner, they are written as /velodyne_points with its pose on /tf_static: the truth of evaluate --truth.
 
     \b
     Example:

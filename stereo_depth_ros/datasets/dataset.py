@@ -12,7 +12,22 @@ from typing import Protocol
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32, Frame
 
-__all__ = ["DatasetFrame", "StereoDataset"]
+__all__ = ["DatasetFrame", "StereoDataset", "Sweep"]
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """One sweep of a laser scanner.
+
+    Attributes:
+        points: float32 (N, 4): x, y, z in meters, and intensity.
+        stamp_ns: integer nanoseconds.
+        frame_id: frame of the scanner.
+    """
+
+    points: F32
+    stamp_ns: int
+    frame_id: str
 
 
 @dataclass(frozen=True)
@@ -23,11 +38,13 @@ class DatasetFrame:
         left, right: the images as the dataset stores them; the rig of the dataset states whether they are rectified.
         truth_disparity_px: float32 (H, W), x_left - x_right in pixels of the rectified left image, NaN where unknown;
             None where the dataset has no truth for this pair.
+        sweep: of a laser scanner, at about this time; None without one.
     """
 
     left: Frame
     right: Frame
     truth_disparity_px: F32 | None = None
+    sweep: Sweep | None = None
 
 
 class StereoDataset(Protocol):

@@ -24,6 +24,7 @@ from stereo_depth_ros.datasets.image_files import (
     read_frame,
     read_image,
 )
+from stereo_depth_ros.datasets.kitti_lidar import KittiLidar, find_lidar
 from stereo_depth_ros.datasets.kitti_stamps import frame_numbers, read_stamps
 
 __all__ = ["KITTI_FOLDERS", "KittiDataset", "read_calibration", "read_truth"]
@@ -46,6 +47,9 @@ class KittiDataset:
 
     The stereo benchmarks have one calibration file per pair; pairs with the calibration of the first one are read,
     ``skipped`` counts the others. Stamps follow the frame numbers in the names, so that excerpts keep theirs.
+
+    Sweeps of the laser scanner are those in ``velodyne`` or ``velodyne_points/data``. Its pose in the frame of the left
+    camera is in ``transforms``, what is left out of the sweeps in ``warnings``.
 
     Args:
         folder: the folder that holds ``image_0`` and ``image_1`` (or ``image_2``/``image_3``, ``image_l``/``image_r``,
@@ -92,6 +96,22 @@ class KittiDataset:
             self.reference_from_left = reference_from_camera(calibration, cameras[0])
         except (BagError, CalibrationError) as error:
             raise error.about(path) from error
+        self.warnings: list[str] = []
+        self._lidar = self._find_lidar(path, cameras[0], numbers, {name: self._stamps[name] for name in kept})
+        self.transforms = [] if self._lidar is None else [self._lidar.transform]
+        self.files += [] if self._lidar is None else self._lidar.files
+
+    def _find_lidar(
+        self, calibration: Path, left_camera: int, numbers: dict[str, int], stamps_ns: dict[str, int]
+    ) -> KittiLidar | None:
+        try:
+            lidar = find_lidar(self.folder, calibration, left_camera, self.rig, numbers, stamps_ns)
+        except CalibrationError as error:
+            self.warnings.append(f"the sweeps of the laser scanner are left out: {error}")
+            return None
+        if lidar is not None and lidar.missing:
+            self.warnings.append(f"{lidar.missing} of {len(self)} pairs have no sweep of the laser scanner")
+        return lidar
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -103,6 +123,7 @@ class KittiDataset:
                 read_frame(left, self.rig.left, stamp_ns),
                 read_frame(right, self.rig.right, stamp_ns),
                 self._truth(left.name),
+                None if self._lidar is None else self._lidar.sweep(left.name),
             )
 
     def _truth(self, name: str) -> F32 | None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes a dataset as a bag: images, camera infos, and the true disparities where they are known."""
+"""Writes a dataset as a bag: images, camera infos, true disparities, and sweeps of a laser scanner with its pose."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ from pathlib import Path
 import numpy as np
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
+from stereo_depth_ros.bags.transforms import write_static_transforms
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import F32, Frame
-from stereo_depth_ros.datasets.dataset import DatasetFrame, StereoDataset
+from stereo_depth_ros.datasets.dataset import DatasetFrame, StereoDataset, Sweep
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.disparity import disparity_message
 from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.messages.point_cloud import valued_cloud_message
 
 __all__ = ["convert_dataset"]
 
 _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-3, 1e6  # stamps fit into a ROS time, and differ
 _FIRST_STAMP_NS = 10**9  # a ROS time of 0 means that no time is set
+SWEEPS_TOPIC = "/velodyne_points"
 _TRUTH_STEP_PX = 1 / 256  # the smallest step in which one of the datasets stores its truth
 
 
@@ -37,6 +40,8 @@ def convert_dataset(
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
     """Writes ``image_raw`` and ``camera_info`` in ``/left`` and ``/right``, and ``/truth/disparity`` where it is known.
+
+    Sweeps of a laser scanner are written as ``/velodyne_points``, and ``transforms`` of the dataset as ``/tf_static``.
 
     Args:
         dataset: the dataset to write.
@@ -62,12 +67,15 @@ def convert_dataset(
             settings=("rate_hz",),
         )
     check_bag_output(out, dataset.files, overwrite=overwrite)
-    count = 0
+    count, transforms = 0, getattr(dataset, "transforms", [])
     with BagWriter(out, overwrite=overwrite) as bag:
         pairs = _PairWriter(bag, dataset.rig)
         for count, frame in enumerate(dataset, start=1):
             counted_ns = _FIRST_STAMP_NS + round((count - 1) * 1e9 / rate_hz)
-            pairs.write(frame if dataset.has_stamps else _stamped(frame, counted_ns))
+            stamped = frame if dataset.has_stamps else _stamped(frame, counted_ns)
+            if count == 1 and transforms:
+                write_static_transforms(bag, transforms, stamped.left.stamp_ns)
+            pairs.write(stamped)
             if progress is not None:
                 progress(count, len(dataset))
     return count
@@ -90,6 +98,15 @@ class _PairWriter:
             self._bag.write(f"/{side}/image_raw", message, stamp_ns)
         if frame.truth_disparity_px is not None:
             self._write_truth(frame.truth_disparity_px, frame.left)
+        if frame.sweep is not None:
+            self._write_sweep(frame.sweep)
+
+    def _write_sweep(self, sweep: Sweep) -> None:
+        points, intensity = sweep.points[:, :3].astype(np.float64), sweep.points[:, 3]
+        cloud = valued_cloud_message(
+            self._types, points, {"intensity": intensity}, stamp_ns=sweep.stamp_ns, frame_id=sweep.frame_id
+        )
+        self._bag.write(SWEEPS_TOPIC, cloud, sweep.stamp_ns)
 
     def _write_truth(self, truth_px: F32, left: Frame) -> None:
         known = truth_px[np.isfinite(truth_px)]
