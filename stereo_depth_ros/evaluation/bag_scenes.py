@@ -92,7 +92,7 @@ class BagScenes:
         with BagReader(self.path) as reader, BagPairs(self._selection, PairingConfig()) as pairs:
             self._truth = truth = open_truth(reader, self._option)
             if isinstance(truth, RangeTruth) and pairs.topics.rectified and not self._selection.camera_files:
-                truth.turned = _rectified_from_left(reader, pairs.topics.left_info)
+                truth.placement.turned = _rectified_from_left(reader, pairs.topics.left_info)
             memory: PairMemory[Images] = PairMemory(self._pair_count, self._gap_ns)
             for number, pair in enumerate(pairs.pairs()):
                 rectified = cache(partial(self._rectified, pair, pairs.topics.image_type, memory))

@@ -17,7 +17,7 @@ from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
 from stereo_depth_ros.bags.sweeps import Sweeps
 from stereo_depth_ros.bags.transforms import read_transforms
-from stereo_depth_ros.camera_files.extrinsics import Extrinsics, read_extrinsics
+from stereo_depth_ros.camera_files.extrinsics import read_extrinsics
 from stereo_depth_ros.core.errors import TopicError, TransformError
 from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.rig import StereoRig
@@ -25,14 +25,14 @@ from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.messages.disparity import matched_disparity
-from stereo_depth_ros.ranging.projection import SparseDisparity, project, rectified_from_left
-from stereo_depth_ros.ranging.sensor_points import DEFAULT_SIGMA_M, SensorPoints, compensated
+from stereo_depth_ros.ranging.placement import Placement
+from stereo_depth_ros.ranging.projection import SparseDisparity, project
+from stereo_depth_ros.ranging.sensor_points import DEFAULT_SIGMA_M, SensorPoints
 
 __all__ = ["DisparityTruth", "RangeTruth", "Truth", "TruthOption", "TruthSource", "open_truth"]
 
 _DISPARITY = "stereo_msgs/msg/DisparityImage"
 _SAME_PX = 1.0  # between the disparities of one surface
-_RECTIFIED = "left rectified camera"  # a frame without a name of its own
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class RangeTruth:
     moved to the time of the pair; elsewhere pairs are left out whose sweep is more than half a period away.
 
     Attributes:
-        turned: pose from the left camera to the rectified one; None takes that of the rig of each pair.
+        placement: takes the points to the left rectified camera.
 
     Raises:
         TopicError: as :class:`Sweeps`.
@@ -136,12 +136,11 @@ class RangeTruth:
         self._option = option
         self._sweeps = Sweeps(reader, option.topic, DEFAULT_SIGMA_M)
         self._transforms = read_transforms(reader)
-        self._tree = self._transforms.tree
-        self._extrinsics: Extrinsics | None = None if option.extrinsics is None else read_extrinsics(option.extrinsics)
+        extrinsics = None if option.extrinsics is None else read_extrinsics(option.extrinsics)
+        self.placement = Placement(self._transforms.tree, extrinsics)
         self._counts: Counter[str] = Counter()
         self._left_out: dict[str, str] = {}
         self._moved = False
-        self.turned: Pose | None = None
 
     def of(self, stamp_ns: int, rig_of: Callable[[], StereoRig]) -> Callable[[], Truth] | None:
         """See :class:`TruthSource`.
@@ -152,16 +151,15 @@ class RangeTruth:
         sweep = self._sweeps.nearest(stamp_ns)
         if sweep is None:
             return None
-        rig = rig_of()
-        self._connect(rig)
-        self._moved = self._tree.motion_known(_RECTIFIED, self._sweeps.frame_id)
-        limit_ns = self._sweeps.period_ns // (1 if self._moved else 2)
+        rig, frame = rig_of(), self._sweeps.frame_id
+        self._moved = self.placement.motion_known(rig, frame)
+        limit_ns = self.placement.limit_ns(rig, frame, self._sweeps.period_ns)
         if abs(sweep[0] - stamp_ns) > limit_ns + 1:
             period = f"{limit_ns / 1e6:.0f} ms, {'a' if self._moved else 'half a'} period"
             self._leave_out("far from a sweep", f"whose nearest sweep is more than {period}, away")
             return None
         try:
-            self._tree.pose_between(_RECTIFIED, stamp_ns, self._sweeps.frame_id, sweep[0])
+            self.placement.pose(rig, stamp_ns, frame, sweep[0])
         except TransformError as error:
             self._leave_out("without transform", str(error.problem))
             return None
@@ -190,33 +188,11 @@ class RangeTruth:
 
     def _read(self, stamp_ns: int, data: bytes, rig: StereoRig) -> Truth:
         points = self._sweeps.points(data)
-        in_camera = self._in_camera(points, stamp_ns)
+        in_camera = self.placement.place(points, rig, stamp_ns)
         triangulation, size = Triangulation.from_rig(rig), (rig.width, rig.height)
         seen = project(in_camera, points.sigma_m, Pose.identity(), triangulation, size)
         self._count(points, seen)
         return Truth(seen.disparity_px, _seen_by_right(in_camera, points.sigma_m, rig, seen))
-
-    def _in_camera(self, points: SensorPoints, stamp_ns: int) -> F32:
-        """The points in the left rectified frame at the time of the pair, float32 (N, 3)."""
-        if not self._moved:
-            pose = self._tree.pose_between(_RECTIFIED, stamp_ns, points.frame_id, points.stamp_ns)
-            return pose.apply(points.points_m.astype(np.float64)).astype(np.float32)
-        return compensated(points, lambda at: self._tree.pose_between(_RECTIFIED, stamp_ns, points.frame_id, at))
-
-    def _connect(self, rig: StereoRig) -> None:
-        """Add the left rectified camera of a rig, and the sensor where a file has its pose."""
-        if not rig.frame_id or not self._sweeps.frame_id:
-            raise TransformError(
-                f"the frame of {'the left images' if not rig.frame_id else self._option.topic} has no name",
-                value="",
-                limit="a name",
-                remedy="set frame_id of the header in its driver",
-            )
-        self._tree.add(rig.frame_id, _RECTIFIED, (self.turned or rectified_from_left(rig)).inverse())
-        if self._extrinsics is not None:
-            parent = _RECTIFIED if self._extrinsics.rectified else self._extrinsics.parent or rig.frame_id
-            child = self._extrinsics.child or self._sweeps.frame_id
-            self._tree.add(parent, child, self._extrinsics.parent_from_child)
 
     def _count(self, points: SensorPoints, seen: SparseDisparity) -> None:
         self._counts["pairs"] += 1
