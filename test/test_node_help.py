@@ -215,7 +215,7 @@ def with_all_topics(tmp_path: Path) -> dict[str, Any]:
     (tmp_path / "patterns.json").write_text(manifest_text(PatternSequence.of_kind("gray", (64, 48))), "utf-8")
     return {
         **{"auto_correct": True, "patterns": str(tmp_path / "patterns.json"), "pattern_signal": "topic"},
-        **{"laser_file": str(tmp_path / "laser.yaml"), "stripe_motion": "pose"},
+        **{"laser_file": str(tmp_path / "laser.yaml"), "stripe_motion": "pose", "range_sensor": "/points"},
     }
 
 

@@ -15,18 +15,13 @@ from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import MessageError, TopicError
-from stereo_depth_ros.messages.range_sensor import IMAGE_TYPE, RANGE_TYPES, range_points
+from stereo_depth_ros.messages.range_sensor import IMAGE_TYPE, RANGE_TYPES, depth_info_topic, range_points
 from stereo_depth_ros.ranging.sensor_points import SensorPoints
 
-__all__ = ["Sweeps", "depth_info_topic"]
+__all__ = ["Sweeps"]
 
 _PERIOD_OF = 50  # sweeps, of which the period is measured
 _ONLY_ONE_NS = 10**8  # period of a topic with one sweep
-
-
-def depth_info_topic(topic: str) -> str:
-    """The topic of the camera info of a depth image: camera_info beside it."""
-    return f"{topic.rpartition('/')[0]}/camera_info"
 
 
 class Sweeps:

@@ -34,7 +34,7 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 FIGURES = ("scale", "offset", "pitch", "yaw", "roll")
 
 _PAIRS = 10  # that are kept
-_POINTS = 2000  # of a pair
+_POINTS = 1000  # of a pair
 _FEWEST_POINTS, _FEWEST_TILES = 200, 12
 _TILES = (8, 6)  # across and down: errors of matching are alike within one of them
 _WINDOW = 5  # px, within which disparities are averaged, and which holds no depth step

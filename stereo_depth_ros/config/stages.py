@@ -147,6 +147,15 @@ class CalibrationMonitorConfig(Checked):
     reference_yaw: float = parameter(
         0.0, "Yaw measured while the calibration is good.", low=-5.0, high=5.0, unit="deg", run_time=False
     )
+    range_sensor: str = parameter(
+        "",
+        "Topic of a range sensor (PointCloud2, LaserScan, or depth Image) that disparities are checked against; empty "
+        "checks none.",
+        run_time=False,
+    )
+    range_sensor_extrinsics: str = parameter(
+        "", "File with the pose of the range sensor; empty takes that of /tf_static and /tf.", run_time=False
+    )
 
 
 @dataclass(frozen=True)

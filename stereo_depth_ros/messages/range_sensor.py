@@ -17,7 +17,16 @@ from stereo_depth_ros.core.types import F32, F64
 from stereo_depth_ros.messages.types import NS_PER_S, stamp_ns
 from stereo_depth_ros.ranging.sensor_points import DEFAULT_SIGMA_M, I64, SensorPoints
 
-__all__ = ["IMAGE_TYPE", "RANGE_TYPES", "cloud_points", "depth_pixels", "depth_points", "range_points", "scan_points"]
+__all__ = [
+    "IMAGE_TYPE",
+    "RANGE_TYPES",
+    "cloud_points",
+    "depth_info_topic",
+    "depth_pixels",
+    "depth_points",
+    "range_points",
+    "scan_points",
+]
 
 IMAGE_TYPE = "sensor_msgs/msg/Image"
 RANGE_TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan", IMAGE_TYPE)
@@ -168,6 +177,11 @@ def depth_points(msg: Any, camera: CameraModel, topic: str = "", sigma_m: float 
     return SensorPoints(
         points.astype(np.float32), sigma_m, stamp_ns(msg.header, topic), msg.header.frame_id, None, _counted(dropped)
     )
+
+
+def depth_info_topic(topic: str) -> str:
+    """The topic of the camera info of a depth image: camera_info beside it."""
+    return f"{topic.rpartition('/')[0]}/camera_info"
 
 
 def depth_pixels(msg: Any, topic: str = "") -> F32:

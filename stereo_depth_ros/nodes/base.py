@@ -136,7 +136,19 @@ class StereoNode(Node):  # type: ignore[misc]
         messages until the callback takes them, ``queue_size`` at least.
         """
         compressed = self.parameters.get(PairingConfig).image_transport == "compressed"
-        topic, msgtype = transported(topic, self.interface.inputs[topic], compressed)
+        return self.add_found_input(
+            *transported(topic, self.interface.inputs[topic], compressed), callback, wanted, depth
+        )
+
+    def add_found_input(
+        self,
+        topic: str,
+        msgtype: str,
+        callback: Callable[[Any], None],
+        wanted: Callable[[], bool] = lambda: True,
+        depth: int = 0,
+    ) -> Input:
+        """As :meth:`add_input`, for a topic and a type that are known only when the node runs."""
         self._inputs.append(
             Input(
                 self,

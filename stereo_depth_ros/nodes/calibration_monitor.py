@@ -29,6 +29,7 @@ from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, Nod
 from stereo_depth_ros.nodes.log import log_warning
 from stereo_depth_ros.nodes.message_types import message_class
 from stereo_depth_ros.nodes.pair_input import PairInput
+from stereo_depth_ros.nodes.range_monitor import RangeMonitor
 from stereo_depth_ros.nodes.runner import run
 
 __all__ = ["CalibrationMonitor", "main"]
@@ -51,6 +52,9 @@ _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabilit
 class CalibrationMonitor(StereoNode):
     """Its findings are on health/row_error and /diagnostics.
 
+    With range_sensor it also checks disparity against a range sensor: scale of the baseline, offset of the disparities
+    and rotation of the sensor are on /diagnostics.
+
     With auto_correct it publishes right/camera_info_corrected, one for each right/camera_info, for the node that
     rectifies to subscribe instead, and the applied correction, latched, on health/correction.
     """
@@ -58,7 +62,7 @@ class CalibrationMonitor(StereoNode):
     interface = NodeInterface(
         "calibration_monitor",
         configs=(PairingConfig, CameraInfoConfig, CalibrationMonitorConfig),
-        inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
+        inputs=CAMERA_INFOS | RECTIFIED_IMAGES | {"disparity": "stereo_msgs/msg/DisparityImage"},
         outputs={
             "health/row_error": "std_msgs/msg/Float64MultiArray",
             "right/camera_info_corrected": "sensor_msgs/msg/CameraInfo",
@@ -86,6 +90,12 @@ class CalibrationMonitor(StereoNode):
         self._pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
         self.add_input("left/image_rect", self._pairs.add_left)
         self.add_input("right/image_rect", self._pairs.add_right)
+        self._row_facts: dict[str, str] = {}
+        self._row_warnings: list[str] = []
+        self._range: RangeMonitor | None = None
+        if self._config.range_sensor:
+            self._range = RangeMonitor(self, self._calibration, self._publish_findings)
+            self._publish_findings()
         if self._config.auto_correct:
             self._corrected = self.add_output("right/camera_info_corrected")
             correction = "health/correction"
@@ -118,9 +128,9 @@ class CalibrationMonitor(StereoNode):
             self._publish_correction(left.header.stamp)
 
     def _report(self, matches: RowMatches, found: Misalignment | None) -> None:
-        """Publishes the findings on /diagnostics."""
+        """Notes the row errors for /diagnostics."""
         limit_px = self.parameters.get(CalibrationMonitorConfig).row_error_limit
-        self.diagnostics.facts = _facts(matches, found)
+        self._row_facts = _facts(matches, found)
         warnings = []
         median_px = matches.median_px if found is None else found.row_median_px
         if median_px > limit_px:
@@ -132,7 +142,15 @@ class CalibrationMonitor(StereoNode):
         if self._config.auto_correct and not self._corrected.wanted:
             topic = self.resolve_topic_name("right/camera_info_corrected")
             warnings.append(f"{topic} has no subscriber: remap right/camera_info of the rectifying node to this topic")
-        self.diagnostics.warning = "; ".join(warnings)
+        self._row_warnings = warnings
+        self._publish_findings()
+
+    def _publish_findings(self) -> None:
+        """On /diagnostics: row errors, and what the range sensor shows."""
+        facts = {} if self._range is None else self._range.facts
+        warnings = [] if self._range is None else self._range.warnings
+        self.diagnostics.facts = self._row_facts | facts
+        self.diagnostics.warning = "; ".join([*self._row_warnings, *warnings])
 
     def _on_right_info(self, info: Any) -> None:
         """The camera info with the correction, for the sensor; unchanged without one, and for another camera."""
