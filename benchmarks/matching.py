@@ -32,6 +32,7 @@ import numpy.typing as npt
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import core_count
 from stereo_depth_ros.core.kernels import compiled
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.evaluation.evaluator import search_range
 from stereo_depth_ros.evaluation.hard_regions import hard_regions
@@ -180,6 +181,65 @@ def requirements(rows: list[Row]) -> list[Row]:
         row |= {"dense bad_2_all ratio": dense["bad_2_all"] / sgbm["bad_2_all"]}
         missed = [name for name, (low, high) in REQUIRED.items() if not low <= row[name] <= high]
         found.append(row | {"misses": ", ".join(missed) or "nothing"})
+    return found
+
+
+class PriorCase(NamedTuple):
+    """Points sampled from the truth: their share of the pixels with truth, their noise, and the share of wrong ones."""
+
+    share: float
+    sigma_px: float
+    wrong: float
+
+
+PRIORS = (PriorCase(0.01, 0.5, 0.1), PriorCase(0.05, 0.5, 0.1), PriorCase(0.05, 0.0, 0.0), PriorCase(0.05, 0.5, 0.3))
+FLAT_GRAY = 2.0  # standard deviation of 9 x 9 px, below which a wall has no texture
+
+
+def sampled_prior(truth_px: F32, case: PriorCase, seed: int = 7) -> DisparityPrior:
+    """Points at random pixels; wrong ones are anywhere between the smallest and the largest true disparity."""
+    rng = np.random.default_rng(seed)
+    known = np.isfinite(truth_px)
+    points = known & (rng.random(truth_px.shape) < case.share)
+    disparity_px = truth_px + rng.normal(0, case.sigma_px, truth_px.shape)
+    wrong = rng.random(truth_px.shape) < case.wrong
+    disparity_px[wrong] = rng.uniform(truth_px[known].min(), truth_px[known].max(), np.count_nonzero(wrong))
+    sigma_px = np.full(truth_px.shape, max(case.sigma_px, 0.1), np.float32)
+    return DisparityPrior(np.where(points, disparity_px, np.nan).astype(np.float32), sigma_px)
+
+
+def guided(scenes: dict[str, Scene]) -> list[Row]:
+    """sgm with and without a prior on each scene: all pixels but the points, and those of walls without texture."""
+    rows: list[Row] = []
+    for scene, data in scenes.items():
+        matcher = create_matcher("sgm", search_range(MatchingConfig(), data.truth_px))
+        gray = data.left.astype(np.float32)
+        mean = cv2.blur(gray, (9, 9))
+        flat = cv2.blur(gray * gray, (9, 9)) - mean * mean < FLAT_GRAY**2
+        for case in (None, *PRIORS):
+            prior = None if case is None else sampled_prior(data.truth_px, case)
+            begin = time.perf_counter()
+            found = matcher.match(data.left, data.right, prior=prior).disparity_px
+            points = "none" if case is None else "{:.0%}, {} px, {:.0%} wrong".format(*case)
+            row: Row = {"scene": scene, "points": points}
+            elsewhere = np.ones(flat.shape, np.bool_) if prior is None else ~prior.known
+            for part, mask in (("", elsewhere), ("flat ", elsewhere & flat)):
+                errors = disparity_errors(found, data.truth_px, mask)
+                row |= {f"{part}{figure}": getattr(errors, figure) for figure in ("density", "bad_2", "bad_2_all")}
+            rows.append(row | {"avg_px": disparity_errors(found, data.truth_px, elsewhere).avg_px})
+            rows[-1]["ms"] = 1e3 * (time.perf_counter() - begin)
+    return rows
+
+
+def guided_means(rows: list[Row]) -> list[Row]:
+    """The means over the scenes used for tuning, and over the others."""
+    found: list[Row] = []
+    for group in ("tuned on", "held out"):
+        of_group = [row for row in rows if (row["scene"] in TUNED_ON) == (group == "tuned on")]
+        for points in dict.fromkeys(row["points"] for row in of_group):
+            chosen = [row for row in of_group if row["points"] == points]
+            mean = {name: float(np.nanmean([row[name] for row in chosen])) for name in list(rows[0])[2:]}
+            found.append({"scenes": f"{group} ({len(chosen)})", "points": points} | mean)
     return found
 
 
@@ -370,7 +430,7 @@ def main() -> None:
     default = os.environ.get("STEREO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
     parser.add_argument("--data", type=Path, default=Path(default), help="folder of scenes with ground truth")
     parser.add_argument("--scenes", nargs="+", default=[], help="names of scenes; default: all")
-    parts = ("accuracy", "locking", "speed", "limit")
+    parts = ("accuracy", "prior", "locking", "speed", "limit")
     parser.add_argument("--parts", nargs="+", default=parts, choices=parts)
     parser.add_argument("--rounds", type=int, default=15, help="number of timed rounds for speed and limit")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all rows as JSON")
@@ -385,6 +445,9 @@ def main() -> None:
         table("Accuracy; bad in percent, avg in px, ms on all cores", rows)
         table("Means over the scenes", found["means"])
         table("sgm against SGBM", found["requirements"])
+    if "prior" in options.parts:
+        found["prior"] = guided(scenes)
+        table("Means of sgm with points of a prior, sampled from the truth", guided_means(found["prior"]))
     if "locking" in options.parts:
         found["locking"] = locking(scenes)
         table("Fractional parts of disparities, percent", found["locking"])

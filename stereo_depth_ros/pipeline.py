@@ -16,6 +16,7 @@ import numpy.typing as npt
 from stereo_depth_ros.config import PipelineConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import CalibrationError
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, U8, MatchResult, RectifiedPair, StereoPair
@@ -72,14 +73,15 @@ class StereoPipeline:
         """Pairs that are matched at the same time: 1, or one a core with a matcher that works in one thread."""
         return self._disparity.at_once
 
-    def process(self, pair: StereoPair) -> StereoResult:
-        """Depth of a raw pair.
+    def process(self, pair: StereoPair, prior: DisparityPrior | None = None) -> StereoResult:
+        """Depth of a raw pair; ``prior`` are disparities that another sensor expects in the left rectified image.
 
         Raises:
             CalibrationError: an image has another size than its calibration.
             ImageError: the images cannot be matched.
+            ConfigError: a prior, which the matcher does not take.
         """
-        return self.match(self.prepare(pair))
+        return self.match(self.prepare(pair), prior)
 
     def prepare(self, pair: StereoPair) -> PreparedPair:
         """The first step of :meth:`process`: rectification; of a stream, in the order of the pairs."""
@@ -88,12 +90,12 @@ class StereoPipeline:
         earlier = self._disparity.earlier(rectified.left, rectified.right, pair.left.stamp_ns)
         return PreparedPair(pair, rectified, {"rectify": 1e3 * (time.perf_counter() - start)}, earlier)
 
-    def match(self, prepared: PreparedPair) -> StereoResult:
+    def match(self, prepared: PreparedPair, prior: DisparityPrior | None = None) -> StereoResult:
         """The second step of :meth:`process`: disparities."""
         pair, rectified = prepared.pair, prepared.rectified
         start = time.perf_counter()
         images = rectified.left, rectified.right
-        disparity = self._disparity.match(*images, lambda: self._exchanged(pair), prepared.earlier)
+        disparity = self._disparity.match(*images, lambda: self._exchanged(pair), prepared.earlier, prior)
         timings_ms = {**prepared.timings_ms, "match": 1e3 * (time.perf_counter() - start)}
         return StereoResult(pair, rectified, disparity, self.rig, self.config, timings_ms, self._rectifier)
 

@@ -4,18 +4,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numba
 import numpy as np
 import pytest
 
-from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config import MatchingConfig, PipelineConfig
 from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.prior import DisparityPrior
-from stereo_depth_ros.core.types import F32, U8
+from stereo_depth_ros.core.types import F32, U8, Frame, StereoPair
+from stereo_depth_ros.core.uncalibrated_rig import UncalibratedRig
+from stereo_depth_ros.evaluation.evaluator import evaluate
+from stereo_depth_ros.evaluation.scenes import make_scene
 from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.matching.costs.prior import PRIOR_COSTS, PriorCosts, add_prior_costs, prior_costs
+from stereo_depth_ros.pipeline import StereoPipeline
 
 HEIGHT, WIDTH, COUNT = 70, 130, 32
 WALL_PX = 9.0
@@ -137,6 +143,30 @@ def test_costs_stay_within_8_bits() -> None:
     result = create_matcher("sgm", config).match(left, right, prior=points(0.1, truth_px))
     valid = np.isfinite(result.disparity_px[:, COUNT:])
     assert np.mean(np.abs(result.disparity_px[:, COUNT:][valid] - WALL_PX) < 1) > 0.97
+
+
+def test_scene_with_a_prior_is_evaluated_with_it() -> None:
+    left, right, truth_px = wall_without_texture()
+    scene = make_scene(left, right, truth_px)
+    config = MatchingConfig(num_disparities=COUNT)
+    without = evaluate("wall", scene, "sgm", config)
+    guided = evaluate("wall", dataclasses.replace(scene, prior=points(0.03, truth_px)), "sgm", config)
+    assert guided.errors.bad_1_all < without.errors.bad_1_all - 5
+
+
+def test_stage_and_pipeline_match_with_a_prior() -> None:
+    left, right, truth_px = wall_without_texture()
+    prior = points(0.03, truth_px)
+    frames = StereoPair(*(Frame(side, 1, "camera") for side in (left, right)))
+    rig = UncalibratedRig.from_homographies(np.identity(3), np.identity(3), (WIDTH, HEIGHT))
+    pipeline = StereoPipeline(PipelineConfig(matching=MatchingConfig(num_disparities=COUNT)), rig)
+    sides = pipeline.prepare(frames).rectified
+    expected = create_matcher("sgm", pipeline.config.matching).match(sides.left, sides.right, prior=prior).disparity_px
+    found = pipeline.process(frames, prior).disparity.disparity_px
+    seen = np.isfinite(found)  # the stage rejects border pixels too
+    np.testing.assert_array_equal(found[seen], expected[seen])
+    np.testing.assert_array_equal(pipeline.match(pipeline.prepare(frames), prior).disparity.disparity_px, found)
+    assert seen.mean() > 0.5 and seen.sum() > np.isfinite(pipeline.process(frames).disparity.disparity_px).sum()
 
 
 def test_refusals() -> None:

@@ -191,11 +191,12 @@ def search_range(config: MatchingConfig, truth_px: F32, given: Collection[str] =
 
 def _timed(matcher: Matcher, scene: Scene) -> tuple[MatchResult, float, int]:
     """Result, median milliseconds and number of the timed calls after a warm-up call."""
-    result = matcher.match(scene.left, scene.right, earlier=scene.earlier)
+    more: dict[str, Any] = {} if scene.prior is None else {"prior": scene.prior}
+    result = matcher.match(scene.left, scene.right, earlier=scene.earlier, **more)
     seconds: list[float] = []
     while len(seconds) < _RUNS and sum(seconds) < _ENOUGH_S:
         begin = time.perf_counter()
-        result = matcher.match(scene.left, scene.right, earlier=scene.earlier)
+        result = matcher.match(scene.left, scene.right, earlier=scene.earlier, **more)
         seconds.append(time.perf_counter() - begin)
     return result, 1e3 * statistics.median(seconds), len(seconds)
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.core.errors import BagError, ImageError
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.datasets.image_files import list_images, read_disparity_image, read_image
 from stereo_depth_ros.datasets.kitti import read_truth
@@ -46,6 +47,7 @@ class Scene:
         foreground: bool (H, W), true on the objects of the KITTI object map; None without one.
         doffs_px: cx_left - cx_right in pixels, the disparity at infinity; 0 where it is unknown.
         earlier: the pairs before this one of a sequence, the oldest first, for matchers of several pairs.
+        prior: disparities that another sensor expects in the left image; None without one.
     """
 
     left: U8
@@ -56,6 +58,7 @@ class Scene:
     foreground: Mask | None = None
     doffs_px: float = 0.0
     earlier: Sequence[Images] = ()
+    prior: DisparityPrior | None = None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import core_count, run_bands
 from stereo_depth_ros.core.kernels import compile_kernels, compiled
 from stereo_depth_ros.core.pair_memory import PairMemory
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.matching import Matcher, matcher_from_config
 from stereo_depth_ros.matching.protocol import Images
@@ -74,6 +75,7 @@ class DisparityStage:
         right: U8,
         exchange: Callable[[], tuple[U8, U8]] | None = None,
         earlier: Sequence[Images] = (),
+        prior: DisparityPrior | None = None,
     ) -> MatchResult:
         """Disparities of a rectified pair, NaN with a reason if invalid.
 
@@ -84,8 +86,10 @@ class DisparityStage:
             left, right: uint8 (H, W).
             exchange: rectifies the raw images in the other order, see :class:`CameraSwapDetector`.
             earlier: the pairs before this one, of :meth:`earlier`.
+            prior: disparities that another sensor expects in the left image.
 
         Raises:
+            ConfigError: a prior, which the matcher does not take.
             ImageError: different sizes, or images too small for the search range.
             CameraOrderError: swapped cameras.
         """
@@ -93,7 +97,7 @@ class DisparityStage:
             self._swap_detector.check(left, right, exchange)
         matcher = self._free_matchers.get()
         try:
-            result = matcher.match(left, right, earlier=earlier)
+            result = matcher.match(left, right, earlier=earlier, prior=prior)
         finally:
             self._free_matchers.put(matcher)
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)
