@@ -134,7 +134,7 @@ def given_parameters(
     matchers = several or [[*MATCHERS][int(values.get(_MATCHER, MatchingConfig().stereo_algorithm))]]
     for name in given:
         _check_stage(name, stages, names, remedies or {})
-        _check_matchers(name, matchers)
+        _check_matchers(name, matchers, values)
         _check_condition(name, values)
     return {**given, **chosen}
 
@@ -160,8 +160,10 @@ def _check_stage(name: str, stages: Collection[str], names: Collection[str], rem
         raise _no_effect(name, _NEVER[name], "leave it out")
 
 
-def _check_matchers(name: str, matchers: Sequence[str]) -> None:
+def _check_matchers(name: str, matchers: Sequence[str], values: Mapping[str, Any]) -> None:
     users = matchers_with(name)
+    if name.startswith("onnx_") and values.get("sgm_cost") != "onnx":
+        users = tuple(user for user in users if user != "sgm")
     if users and not set(users) & set(matchers):
         reason = f"the matcher is {' and '.join(matchers)}, which does not use it"
         raise _no_effect(name, reason, f"leave it out, or choose {_either(users)} by --matcher")

@@ -101,6 +101,11 @@ class SgbmConfig(Checked):
 class SgmConfig(Checked):
     """Parameters of ``sgm``."""
 
+    sgm_cost: str = parameter(
+        "census",
+        "Matching costs: Hamming distances of the census, or products of features by the network in onnx_model.",
+        choices=("census", "onnx"),
+    )
     sgm_paths: int = parameter(4, "Number of path directions, 4 or 8.", low=4, high=8, step=4)
     sgm_P1: int = parameter(30, "Penalty on disparity changes of 1 px, in census bits.", low=1, high=96)
     sgm_P2: int = parameter(
@@ -163,7 +168,12 @@ class FeatureConfig(Checked):
 class OnnxConfig(Checked):
     """Parameters of ``onnx``, and of ``sgm`` where a network gives its costs."""
 
-    onnx_model: str = parameter("", "Path of the ONNX file of the network.", run_time=False)
+    onnx_model: str = parameter(
+        "",
+        "Path of the ONNX file of the network: for onnx two images in and a disparity map out, for sgm an image in and "
+        "features out.",
+        run_time=False,
+    )
     onnx_provider: str = parameter(
         "auto",
         "Execution provider of ONNX Runtime; auto takes the first of cuda, openvino and cpu that starts.",
@@ -173,8 +183,9 @@ class OnnxConfig(Checked):
     onnx_normalization: str = parameter(
         "auto",
         "What the network takes instead of gray values of 0 to 255 (none): 0 to 1 (unit), -1 to 1 (signed), by mean "
-        "and deviation of ImageNet; auto takes that of the metadata of its file, or none.",
-        choices=("auto", "none", "unit", "signed", "imagenet"),
+        "and deviation of ImageNet or of each image (standard); auto takes that of the metadata of its file, or none, "
+        "for features standard.",
+        choices=("auto", "none", "unit", "signed", "imagenet", "standard"),
     )
     onnx_multiple: int = parameter(
         0,

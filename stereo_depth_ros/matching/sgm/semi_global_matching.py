@@ -21,11 +21,13 @@ from stereo_depth_ros.matching.costs.census import (
     census_rows,
     empty_census,
 )
+from stereo_depth_ros.matching.costs.features import UNRELATED_COST, feature_costs
 from stereo_depth_ros.matching.costs.prior import prior_costs
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.filters.hole_filling import fill_holes
 from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter
 from stereo_depth_ros.matching.local_consistency import local_consistency
+from stereo_depth_ros.matching.networks.features import FeatureNetwork
 from stereo_depth_ros.matching.protocol import Images, check_pair
 from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST
@@ -70,7 +72,11 @@ class SemiGlobalMatcher(SerialMatcher):
     the scene is static and its light changes, as in :mod:`stereo_depth_ros.matching.spacetime.matcher`. P2 then follows
     the edges of the mean of the left images.
 
-    ``support_px`` is the census window, 9 x 7 pixels; the smoothing of the costs reads one more pixel on all sides.
+    With ``sgm_cost`` onnx the costs are products of features of a network, see
+    :class:`~stereo_depth_ros.matching.networks.features.FeatureNetwork`, in the range of those of the census.
+
+    ``support_px`` is the census window, 9 x 7 pixels; the smoothing of the costs reads one more on all sides. With
+    a network it is the border without features and the pixel between.
     """
 
     name = "sgm"
@@ -96,6 +102,12 @@ class SemiGlobalMatcher(SerialMatcher):
         )
         self.pair_count = config.temporal_window or 1
         self._shape = (0, 0)
+        self._costs: U8 = np.empty((0, 0, 0), np.uint8)  # of a network
+        self._network = FeatureNetwork(config) if config.sgm_cost == "onnx" else None
+        if self._network is not None:
+            _check_single(config)
+            self.engine = self._network.engine
+            self.support_px = (2 * self._network.border_px + 1,) * 2
 
     def _match(self, left: U8, right: U8) -> MatchResult:
         return self._match_pairs([(left, right)], None)
@@ -109,13 +121,16 @@ class SemiGlobalMatcher(SerialMatcher):
         if self._shape != left.shape:
             self._allocate(*left.shape)
         census = self._census[: len(pairs)]
-        for pair, codes in zip(pairs, census, strict=True):
-            for image, own in zip(pair, codes, strict=True):
-                run_bands(census_rows, len(image), image, own)
+        if self._network is not None:
+            self._costs_of_network(self._network, left, right)
+        else:
+            for pair, codes in zip(pairs, census, strict=True):
+                for image, own in zip(pair, codes, strict=True):
+                    run_bands(census_rows, len(image), image, own)
         output = Output(disparity_px, self._coarse, reasons, margin)
         bands = len(self._scratch.raw)
         image = _mean_image([pair[0] for pair in pairs])
-        given = (image, census, prior_costs(prior, image), self._search)
+        given = (image, census, self._costs, prior_costs(prior, image), self._search)
         run_bands(match_bands, bands, bands, self._strips, *given, self._scratch, output, min_rows=1)
         self._speckle_filter(self._coarse, reasons)
         run_bands(_reject_rows, len(left), reasons, disparity_px, margin)
@@ -125,6 +140,13 @@ class SemiGlobalMatcher(SerialMatcher):
         return MatchResult(
             disparity_px, reasons, self.step_px, functools.partial(local_consistency, disparity_px, margin)
         )
+
+    def _costs_of_network(self, network: FeatureNetwork, left: U8, right: U8) -> None:
+        shape = (*left.shape, self.config.num_disparities)
+        if self._costs.shape != shape:
+            self._costs = np.empty(shape, np.uint8)
+        features = network(left), network(right)
+        run_bands(feature_costs, len(left), *features, self.config.max_disparity, UNRELATED_COST, self._costs)
 
     def _allocate(self, height: int, width: int) -> None:
         count = self.config.num_disparities
@@ -148,6 +170,17 @@ def _mean_image(images: Sequence[U8]) -> U8:
     for image in images:
         total += image
     return np.asarray(total // len(images), np.uint8)
+
+
+def _check_single(config: MatchingConfig) -> None:
+    if config.temporal_window > 1:
+        raise ConfigError(
+            f"temporal_window = {config.temporal_window} has no effect on the costs of a network (sgm_cost = onnx)",
+            value=config.temporal_window,
+            limit=1,
+            remedy="set it to 1, or sgm_cost to census",
+            settings=("temporal_window", "sgm_cost"),
+        )
 
 
 def _check_penalties(config: MatchingConfig) -> None:

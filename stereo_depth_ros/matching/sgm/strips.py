@@ -17,6 +17,7 @@ from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.types import F32, U8, U16, Reason
 from stereo_depth_ros.matching.costs.census import cost_rows, padded_count
+from stereo_depth_ros.matching.costs.features import copy_costs
 from stereo_depth_ros.matching.costs.prior import PRIOR_COSTS, PriorCosts, add_prior_costs
 from stereo_depth_ros.matching.filters.speckle_filter import I16
 from stereo_depth_ros.matching.sgm.path_costs import path_step, start_path, step_row
@@ -196,14 +197,25 @@ def _shift(n: int, directions: int) -> int:
 
 @compiled(allocates=False)
 def _match_strip(
-    a: int, b: int, image: U8, census: U8, prior: PriorCosts, search: Search, scratch: Scratch, output: Output
+    a: int,
+    b: int,
+    image: U8,
+    census: U8,
+    costs: U8,
+    prior: PriorCosts,
+    search: Search,
+    scratch: Scratch,
+    output: Output,
 ) -> None:
     """Disparities of rows a to b, last exclusive."""
     s = scratch
     height, width = image.shape
     top, bottom = max(a - search.approach_rows, 0), min(b + search.approach_rows, height)
     directions = len(s.down)
-    cost_rows(census, top, bottom, search.max_disparity, search.disparities, s.raw, s.sums, s.smooth, s.cost)
+    if len(costs):
+        copy_costs(costs, top, bottom, s.cost)
+    else:
+        cost_rows(census, top, bottom, search.max_disparity, search.disparities, s.raw, s.sums, s.smooth, s.cost)
     for y in range(top, bottom):
         add_prior_costs(prior, y, search.max_disparity, search.disparities, s.cost[y - top])
     for y in range(top, b):
@@ -244,7 +256,17 @@ _OUTPUT = numba.types.NamedTuple([float32[:, ::1], int16[:, ::1], uint8[:, ::1],
 
 @compiled(
     numba.void(
-        int64, int64, int64, int64, READ_ONLY_U8, uint8[:, :, :, :, ::1], PRIOR_COSTS, _SEARCH, _SCRATCH, _OUTPUT
+        int64,
+        int64,
+        int64,
+        int64,
+        READ_ONLY_U8,
+        uint8[:, :, :, :, ::1],
+        uint8[:, :, ::1],
+        PRIOR_COSTS,
+        _SEARCH,
+        _SCRATCH,
+        _OUTPUT,
     ),
     allocates=False,
 )
@@ -255,12 +277,16 @@ def match_bands(
     strips: int,
     image: U8,
     census: U8,
+    costs: U8,
     prior: PriorCosts,
     search: Search,
     scratch: Scratch,
     output: Output,
 ) -> None:
-    """Match the strips of each band, with the scratch buffers of the band."""
+    """Match the strips of each band, with the scratch buffers of the band.
+
+    The costs are those of the census, unless ``costs``, uint8 (H, W, K), has rows.
+    """
     height = len(image)
     for band in range(first, last):
         own = Scratch(
@@ -282,4 +308,4 @@ def match_bands(
         )
         for strip in range(band * strips // bands, (band + 1) * strips // bands):
             a, b = height * strip // strips, height * (strip + 1) // strips
-            _match_strip(a, b, image, census, prior, search, own, output)
+            _match_strip(a, b, image, census, costs, prior, search, own, output)
