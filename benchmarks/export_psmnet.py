@@ -7,7 +7,7 @@ python benchmarks/export_psmnet.py psmnet.onnx --weights pretrained_model_KITTI2
 
 The architecture is written from the paper (Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018, table 1); only
 the names of its parts are those of the published weights, so that these load. Two things are as the weights need them
-(on a part of Middlebury's Venus, errors above 1 px and median signed error): dilations of 1 and 2 in the last two stages
+(on a part of Middlebury's Venus, errors above 1 px and median signed error): dilations 1 and 2 in the last two stages
 (9.5 %, +0.44 px), where the table has 2 and 4 (14.9 %, +0.71 px), and align_corners where values are interpolated;
 without it disparities are 1.7 px too large.
 
