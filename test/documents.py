@@ -170,6 +170,21 @@ def _write_image_pairs(folder: Path) -> None:
     _write_calibration(folder)
 
 
+def _write_network(path: Path) -> None:
+    """It finds shifts of 0 to 23 px."""
+    from test_onnx import Network, block_matching  # which needs onnx
+
+    network = Network()
+    network.save(path, {"disparity": block_matching(network)})
+
+
+def _write_feature_network(path: Path) -> None:
+    """Its features are the gray values around each pixel."""
+    from test_feature_costs import patches
+
+    patches(path, 2)
+
+
 def _camera_beside(path: Path) -> CameraModel:
     """The camera of the images that are there."""
     return board_camera() if (path.parent / "laser_boards").exists() else rendering_camera()
@@ -193,6 +208,8 @@ INPUTS: Mapping[str, Callable[[Path], object]] = {
     "table": write_table,
     "focal_stack": write_stack,
     "distances.csv": write_distances,
+    "network.onnx": _write_network,
+    "features.onnx": _write_feature_network,
     "camera.yaml": lambda path: write_camera(path, _camera_beside(path), "camera"),
 }
 
