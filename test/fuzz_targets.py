@@ -65,6 +65,7 @@ from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.camera_yaml import camera_to_yaml
 from stereo_depth_ros.core.errors import StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
 from stereo_depth_ros.datasets.kitti import KittiDataset
@@ -156,6 +157,11 @@ def _sequence() -> SyntheticSequence:
 
 
 @functools.cache
+def _pair() -> StereoPair:
+    return _sequence()[0].pair
+
+
+@functools.cache
 def _config() -> PipelineConfig:
     return pipeline_config({"stereo_algorithm": 0, "disparity_range": 32, "correlation_window_size": 9})
 
@@ -201,7 +207,7 @@ def _run_image(case: dict[str, Any], _: Path) -> None:
 
 @functools.cache
 def _encoded() -> tuple[bytes, ...]:
-    gray = _sequence()[0].pair.left.pixels
+    gray = _pair().left.pixels
     color = np.dstack((gray, gray[::-1], gray[:, ::-1]))
     deep = gray.astype(np.uint16) * 257
     images = [(".jpg", gray), (".jpg", color), (".png", gray), (".png", color), (".png", deep), (".tiff", deep)]
@@ -280,10 +286,9 @@ def _run_infos(case: tuple[dict[str, Any], dict[str, Any]], _: Path) -> None:
         with contextlib.suppress(StereoDepthError):
             check_camera(camera_from_info(info, side), side)
     stamp_ns(left.header)
-    pair = _sequence()[0].pair
     rig = StereoRig.from_infos(left, right)
     rig.check_image(WIDTH, HEIGHT, "left")
-    result = StereoPipeline(_config(), rig).process(pair)
+    result = StereoPipeline(_config(), rig).process(_pair())
     assert result.depth_m.shape == (HEIGHT, WIDTH)
     assert result.points().shape == (HEIGHT, WIDTH, 3)
 

@@ -330,6 +330,9 @@ def test_what_a_library_writes_to_descriptor_1_goes_to_stderr() -> None:
     assert done.stderr == "from C++ before\nfrom C++ after\n"
 
 
+SMALL = ("--frames", "2", "--width", "160", "--height", "120")  # of a pair 38 kB
+
+
 def limit_files() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 
@@ -337,7 +340,7 @@ def limit_files() -> None:
 def test_a_full_disk_is_one_line(tmp_path: Path, whole: Path) -> None:
     (tmp_path / "good.mcap").write_text("good")
     commands = (
-        ["synthesize", str(tmp_path / "good.mcap"), "--frames", "2", "--overwrite"],
+        ["synthesize", str(tmp_path / "good.mcap"), *SMALL, "--overwrite"],
         ["process", str(whole), "-o", str(tmp_path / "good.mcap"), "--overwrite", *PARAM_ARGUMENTS],
         ["info", str(whole), "--json", "/dev/full"],
     )

@@ -61,6 +61,12 @@ def setup() -> SimpleNamespace:
     return found
 
 
+@pytest.fixture(scope="module")
+def imported() -> set[str]:
+    """First names of the modules that the package imports."""
+    return {found.imported.split(".")[0] for found in read_imports(ROOT)}
+
+
 def names(requirements: Iterable[str]) -> set[str]:
     """Names of distributions, without versions."""
     return {re.split(r"[<>=!~; ]", requirement)[0] for requirement in requirements}
@@ -94,11 +100,13 @@ def third_party(modules: Iterable[str]) -> set[str]:
     return {DISTRIBUTIONS.get(name, name) for name in others}
 
 
-def test_every_import_of_the_package_is_a_requirement_and_every_requirement_is_imported(setup: SimpleNamespace) -> None:
-    imported = third_party(found.imported.split(".")[0] for found in read_imports(ROOT))
+def test_every_import_of_the_package_is_a_requirement_and_every_requirement_is_imported(
+    setup: SimpleNamespace, imported: set[str]
+) -> None:
+    used = third_party(imported)
     declared = names(setup.install_requires) | names(optional(setup))
-    assert imported - declared == set(), "imported, but not declared in setup.py"
-    assert declared - imported == set(), "declared in setup.py, but not imported"
+    assert used - declared == set(), "imported, but not declared in setup.py"
+    assert declared - used == set(), "declared in setup.py, but not imported"
 
 
 def test_the_extras_of_development_are_what_tests_and_tools_use(setup: SimpleNamespace) -> None:
@@ -138,11 +146,10 @@ def test_manifest_names_the_rosdep_key_of_every_requirement(setup: SimpleNamespa
     assert keys == set(ROSDEP_KEYS.values()) - {""}
 
 
-def test_manifest_names_the_ros_packages_that_are_used_and_no_others() -> None:
+def test_manifest_names_the_ros_packages_that_are_used_and_no_others(imported: set[str]) -> None:
     text = "".join(path.read_text("utf-8") for path in (ROOT / PACKAGE / "nodes").rglob("*.py"))
     types = set(re.findall(r'"(\w+)/(?:msg|srv)/\w+"', text))  # imported by the name of the message type
-    imported = {found.imported.split(".")[0] for found in read_imports(ROOT)} | imports_of(("launch",))
-    ros = {name for name in imported if ROS.fullmatch(name)} | types
+    ros = {name for name in imported | imports_of(("launch",)) if ROS.fullmatch(name)} | types
     assert {"rclpy", "launch_ros", "sensor_msgs"} <= ros
     assert "std_srvs" in types
     run = {name for name, kind in manifest().items() if kind == "exec_depend" and not name.startswith("python3-")}

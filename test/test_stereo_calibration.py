@@ -68,7 +68,7 @@ def test_standard_deviations_are_those_of_many_draws(model: str) -> None:
 
 def test_errors_fall_as_the_root_of_the_number() -> None:
     """The same poses, each recorded once or four times, which is four times the information."""
-    exact, true = exact_views(RIGS["plumb_bob"], 10, 0.0), RIGS["plumb_bob"]
+    exact, true = exact_views(RIGS["plumb_bob"], 6, 0.0), RIGS["plumb_bob"]
 
     def noisy(corners: Corners, random: np.random.Generator) -> Corners:
         return replace(corners, image_px=corners.image_px + 0.05 * random.normal(size=corners.image_px.shape))
