@@ -11,6 +11,7 @@ import stereo_depth_ros.active
 import stereo_depth_ros.core
 import stereo_depth_ros.matching
 import stereo_depth_ros.messages
+import stereo_depth_ros.ranging
 import stereo_depth_ros.stages
 import stereo_depth_ros.surfaces
 import stereo_depth_ros.synthetic
@@ -32,6 +33,7 @@ PACKAGES = (
     stereo_depth_ros.views,
     stereo_depth_ros.active,
     stereo_depth_ros.surfaces,
+    stereo_depth_ros.ranging,
     stereo_depth_ros.synthetic,
 )
 
