@@ -24,6 +24,7 @@ from rendered_boards import SIZE, KnownRig, chessboard_points, chessboard_print,
 from rendered_turntable import rendering_camera, write_table
 from stripe_scans import exact_plane, scanner, write_scan
 from test_datasets import make_euroc, make_kitti
+from test_kitti_lidar import sequence as make_kitti_with_sweeps
 
 from stereo_depth_ros.active.light_stripe.plane_file import write_plane
 from stereo_depth_ros.active.structured_light.manifest import MANIFEST, manifest_text
@@ -200,6 +201,7 @@ INPUTS: Mapping[str, Callable[[Path], object]] = {
     "left.png": lambda path: _write_pair(path, path.with_name("right.png")),
     "Motorcycle": _write_middlebury,
     "kitti_odometry": make_kitti,
+    "kitti_drive": make_kitti_with_sweeps,
     "MH_01_easy": make_euroc,
     "image_pairs": _write_image_pairs,
     "laser_boards": write_boards,

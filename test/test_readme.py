@@ -248,6 +248,7 @@ def test_python_examples_are_found() -> None:
         "docs/geometry.md",
         "docs/one_shot.md",
         "docs/projector.md",
+        "docs/range_sensor.md",
         "docs/python.md",
         "docs/space_time.md",
         "docs/structured_light.md",
@@ -472,7 +473,7 @@ def live_topics(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Top
 
     pipeline = (RectifyNode, DisparityNode, PointCloudNode, DepthNode, StereoDepthNode)
     others = (FeatureNode, ViewNode, CalibrationMonitor, CalibrationNode)
-    with Graph(*pipeline, *others, parameters={"auto_correct": True}) as graph:
+    with Graph(*pipeline, *others, parameters={"auto_correct": True, "range_sensor": "/range"}) as graph:
         kinds = {end.topic_name: end.msg_type for node in graph.nodes for end in node.publishers}
         for topic in kinds.keys() - {"/rosout", "/parameter_events", "/diagnostics"}:
             graph.listen(topic, kinds[topic])

@@ -27,7 +27,6 @@ __all__ = [
     "is_kitti",
     "matrix_of",
     "parse_calibration",
-    "projection_of",
     "read_kitti",
     "reference_from_camera",
     "rig_from_calibration",
@@ -112,7 +111,7 @@ def rig_from_calibration(values: dict[str, F64], cameras: tuple[int, int], size:
     """
     left, right = cameras
     try:
-        P_left, P_right = (projection_of(values, camera) for camera in cameras)
+        P_left, P_right = (_projection(values, camera) for camera in cameras)
     except KeyError as error:
         raise _lacks(values, error) from error
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # refused by the checks of a rig
@@ -160,8 +159,7 @@ def _lacks(values: dict[str, F64], error: KeyError) -> BagError:
     )
 
 
-def projection_of(values: Mapping[str, F64], camera: int) -> F64:
-    """The projection of a rectified camera, float64 (3, 4): P0 or P_rect_00; raises as :func:`matrix_of`."""
+def _projection(values: Mapping[str, F64], camera: int) -> F64:
     name = f"P{camera}" if f"P{camera}" in values else f"P_rect_{camera:02d}"
     return matrix_of(values, name, (3, 4))
 

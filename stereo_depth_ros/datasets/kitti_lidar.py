@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from stereo_depth_ros.camera_files.extrinsics import kitti_extrinsics
-from stereo_depth_ros.camera_files.kitti import parse_calibration, projection_of
+from stereo_depth_ros.camera_files.kitti import parse_calibration, reference_from_camera
 from stereo_depth_ros.core.errors import BagError, CalibrationError
 from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.rig import StereoRig
@@ -118,8 +118,7 @@ def find_lidar(
             remedy="copy calib_cam_to_cam.txt of the same day",
         )
     # to the rectified camera 0, from there to the rectified left one, which may be another, and to its images
-    P = projection_of(cameras, left_camera)
-    shift = Pose(np.identity(3), np.asarray(np.linalg.solve(P[:, :3], P[:, 3]), np.float64))
+    shift = reference_from_camera(cameras, left_camera).inverse()
     pose = Pose(rig.left.R, np.zeros(3)).inverse() @ shift @ extrinsics.parent_from_child
     times = folder / _TIMES / "timestamps.txt"
     of_sweeps = read_stamps(folder, _TIMES, numbers, list(stamps_ns)) if times.exists() else stamps_ns
