@@ -195,6 +195,8 @@ class BagPairs:
         count: images of the left camera in the part that is read, by its share of the time of the bag: about as many
             pairs are read at most.
         part: which part that is, in words; empty for the whole bag.
+        rectified_info: topic of the left camera infos where the images of the bag are rectified; None for raw images,
+            and with calibration files.
         unpaired_left, unpaired_right: images without a partner; final when :meth:`pairs` is exhausted.
         losses: why most images are in no pair, and what was left out, a sentence each; final as those.
         unset: the error of stamps that are not set, where they are why there is one pair at most; final as those.
@@ -218,6 +220,8 @@ class BagPairs:
             self._reader.close()
             raise
         self._images = CameraImages(self._reader, self.topics)
+        from_bag = self.topics.rectified and not selection.camera_files
+        self.rectified_info = self.topics.left_info if from_bag else None
         self._unsplit: list[MessageError] = []
         self.count = math.ceil(share * self._reader.topics[self.topics.left_image].count)
         self.unpaired_left = self.unpaired_right = 0

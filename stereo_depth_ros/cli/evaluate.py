@@ -15,13 +15,14 @@ from typing import Annotated, Any
 import typer
 
 from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.projected_sweeps import SensorTopic
 from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.camera_files.reading import rig_file_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.errors import command_options, error_text
 from stereo_depth_ros.cli.evaluate_tables import bias_warnings, evaluate_tables
-from stereo_depth_ros.cli.given import given_parameters, refuse_files
-from stereo_depth_ros.cli.options import Json, Overwrite, Params, SideBySide, new_app
+from stereo_depth_ros.cli.given import check_takes_prior, given_parameters, refuse_files
+from stereo_depth_ros.cli.options import Extrinsics, Json, Overwrite, Params, Prior, SideBySide, new_app
 from stereo_depth_ros.cli.output import EXIT_INCOMPLETE, parameter_files, progress_bar, show, tell, warn
 from stereo_depth_ros.config import MatchingConfig, PairingConfig
 from stereo_depth_ros.config.matchers import MATCHERS
@@ -71,14 +72,8 @@ def evaluate(
             "depth Image.",
         ),
     ] = TRUTH_TOPIC,
-    extrinsics: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Read the pose of the range sensor in this file, YAML or the calibration of KITTI, instead of "
-            "/tf_static and /tf.",
-        ),
-    ] = None,
+    prior: Prior = None,
+    extrinsics: Extrinsics = None,
     json_file: Json = None,
     csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the results as CSV.")] = None,
     plots: Annotated[
@@ -97,6 +92,8 @@ def evaluate(
     same for every matcher, unless it is set by --param disparity_range:=...
 
     Matchers of several pairs (temporal_window) must have those before each pair, as in a bag.
+
+    With --prior the matcher sgm is guided by the points of another range sensor.
 
     A median signed error that is large against the spread of the errors is named: the disparities are shifted.
 
@@ -119,10 +116,18 @@ def evaluate(
     config = pipeline_config(values).matching
     # Reports unknown matchers and invalid parameters before anything runs.
     pair_count = max(create_matcher(name, config).pair_count for name in matcher)
+    if prior is not None:
+        check_takes_prior(matcher)
+    if prior == truth:
+        raise ConfigError(
+            f"--prior and --truth are both {prior}", value=prior, remedy="compare with another sensor, or leave one out"
+        )
     files = rig_file_paths(camera_info) if camera_info else []
+    sensor = None if prior is None else SensorTopic(prior, extrinsics)
     option = TruthOption(truth, extrinsics)
     sets = [
-        _scenes(place, side_by_side, camera_info or (), option, pair_count, config.temporal_gap_ns) for place in places
+        _scenes(place, side_by_side, camera_info or (), option, sensor, pair_count, config.temporal_gap_ns)
+        for place in places
     ]
     inputs = [*files, *(path for scenes in sets for path in _files(scenes)), *parameter_files(None, values)]
     plot_files = list(_plot_files(plots, sets, matcher)) if plots is not None else []
@@ -171,6 +176,7 @@ def _scenes(
     side_by_side: bool,
     camera_files: Sequence[Path],
     truth: TruthOption,
+    prior: SensorTopic | None,
     pair_count: int,
     gap_ns: int | None,
 ) -> SceneSet:
@@ -184,6 +190,7 @@ def _scenes(
         for name, is_given in (
             ("--camera-info", bool(camera_files)),
             ("--truth", truth.topic != TRUTH_TOPIC),
+            ("--prior", prior is not None),
             ("--extrinsics", truth.extrinsics is not None),
         ):
             if is_given:
@@ -195,7 +202,7 @@ def _scenes(
     selection, choice = open_selection(given, PairingConfig())
     if choice:
         warn(choice)
-    return BagScenes(selection, pair_count, gap_ns, truth)
+    return BagScenes(selection, pair_count, gap_ns, truth, prior)
 
 
 def _files(scenes: SceneSet) -> list[Path]:

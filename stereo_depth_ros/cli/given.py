@@ -16,7 +16,15 @@ from stereo_depth_ros.config.values import Value, parse_assignments
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES
 
-__all__ = ["PIPELINE", "given_parameters", "is_given", "refuse_files", "refuse_ignored", "require_png"]
+__all__ = [
+    "PIPELINE",
+    "check_takes_prior",
+    "given_parameters",
+    "is_given",
+    "refuse_files",
+    "refuse_ignored",
+    "require_png",
+]
 
 # The stages whose parameters have an effect on the outputs of process and replay
 PIPELINE = ("pairing", "camera_info", "matching", "depth", "cloud", "rectification")
@@ -89,6 +97,18 @@ def require_png(option: str, path: Path | None) -> None:
             limit=".png",
             remedy=f"name it {path.stem or 'plot'}.png",
         )
+
+
+def check_takes_prior(matchers: Iterable[str]) -> None:
+    """Raise ConfigError if one of these matchers cannot use ``--prior``."""
+    for name in matchers:
+        if not MATCHERS[name].takes_prior:
+            raise ConfigError(
+                f"--prior has no effect with {name}, which takes no prior",
+                value=name,
+                remedy="use a matcher that does, sgm",
+                settings=("matcher",),
+            )
 
 
 def given_parameters(

@@ -68,6 +68,22 @@ Matcher = Annotated[
         autocompletion=lambda: [*MATCHERS],
     ),
 ]
+Prior = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TOPIC",
+        help="Take the points of this range sensor, PointCloud2, LaserScan or a depth Image of the bag, as a prior of "
+        "the disparities, for sgm.",
+    ),
+]
+Extrinsics = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Read the pose of the range sensor in this file, YAML or the calibration of KITTI, instead of /tf_static "
+        "and /tf.",
+    ),
+]
 Params = Annotated[
     list[str] | None,
     typer.Option("--param", "-p", metavar="NAME:=VALUE", help="Set a parameter; the option may be repeated."),

@@ -5,24 +5,27 @@
 from __future__ import annotations
 
 from stereo_depth_ros.bags.pairs import BagSelection
+from stereo_depth_ros.bags.projected_sweeps import SensorTopic
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.camera_files.urls import camera_info_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
 from stereo_depth_ros.cli.export import SurfaceExport
-from stereo_depth_ros.cli.given import PIPELINE, given_parameters
+from stereo_depth_ros.cli.given import PIPELINE, check_takes_prior, given_parameters
 from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import (
     Bag,
     BagOutput,
     Duration,
     Export,
+    Extrinsics,
     Json,
     Left,
     Matcher,
     Overwrite,
     Params,
     ParamsFile,
+    Prior,
     Right,
     SideBySide,
     Start,
@@ -34,8 +37,10 @@ from stereo_depth_ros.cli.output import parameter_files, progress_bar
 from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.run_report import finish_run
 from stereo_depth_ros.config import ViewConfig
+from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.config.values import pipeline_config, stage_config
 from stereo_depth_ros.config.view_topics import check_views
+from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.offline.engine import process_bag
 
 __all__ = ["app"]
@@ -48,6 +53,8 @@ def process(
     bag: Bag,
     output: BagOutput,
     camera_info: CameraInfo = None,
+    prior: Prior = None,
+    extrinsics: Extrinsics = None,
     matcher: Matcher = None,
     param: Params = None,
     params_file: ParamsFile = None,
@@ -67,6 +74,8 @@ def process(
     With --export the depth is written to files too, as a mesh, a cloud or an image: of the first pair, or of each one
     where the name has {stamp}, which becomes the stamp in nanoseconds.
 
+    With --prior the matcher sgm is guided by the points of a range sensor in the bag, see docs/range_sensor.md.
+
     Exit codes are 0 for success, 1 for an error, 2 for wrong usage and 3 where some pairs were skipped.
 
     \b
@@ -75,6 +84,7 @@ def process(
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
       stereo-depth process drive.mcap -o depth.mcap --camera-info left.yaml right.yaml
       stereo-depth process drive.mcap -o depth.mcap --view anaglyph --view disparity_color
+      stereo-depth process drive.mcap -o depth.mcap --prior /velodyne_points
       stereo-depth process drive.mcap -o depth.mcap --export 'meshes/{stamp}.glb'
     """
     file = read_parameters(params_file)
@@ -86,16 +96,31 @@ def process(
     )
     values = {**file, **given, **camera_info_values(camera_info, given)}
     surfaces = SurfaceExport(export, overwrite=overwrite)
-    inputs = [*bag_files(bag), *parameter_files(params_file, values)]
+    inputs = [*bag_files(bag), *parameter_files(params_file, values), *([extrinsics] if extrinsics else [])]
     check_bag_output(output, inputs, more=[surfaces.name], reports=[json_file], overwrite=overwrite)
     config = pipeline_config(values)
     urls = config.camera_info
     files = camera_info_paths(urls.left_camera_info_url, urls.right_camera_info_url)
+    if extrinsics is not None and prior is None:
+        raise ConfigError(
+            "--extrinsics has no effect without --prior", value=str(extrinsics), remedy="add --prior TOPIC"
+        )
+    if prior is not None:
+        check_takes_prior([[*MATCHERS][config.matching.stereo_algorithm]])
     prepare_kernels(config.matching)
     selection = BagSelection(bag, left, right, start, duration, side_by_side, files)
     drawn = dict.fromkeys(views, stage_config(ViewConfig, values))
+    sensor = None if prior is None else SensorTopic(prior, extrinsics)
     with surfaces, progress_bar("computing") as progress:
         result = process_bag(
-            selection, output, config, progress, drawn, overwrite=overwrite, strict=strict, each=surfaces.add
+            selection,
+            output,
+            config,
+            progress,
+            drawn,
+            overwrite=overwrite,
+            strict=strict,
+            each=surfaces.add,
+            prior=sensor,
         )
     finish_run(result, json_file, overwrite, surfaces=surfaces)

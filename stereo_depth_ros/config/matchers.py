@@ -31,6 +31,7 @@ class MatcherInfo:
         sentence: description.
         parameters: public names of the parameters that have an effect on it.
         uniqueness: meaning of ``uniqueness_ratio`` for it; empty if it has no effect.
+        takes_prior: whether it uses the disparities that another sensor expects.
     """
 
     name: str
@@ -38,6 +39,7 @@ class MatcherInfo:
     sentence: str
     parameters: tuple[str, ...]
     uniqueness: str = ""
+    takes_prior: bool = False
 
 
 # The position of an entry is the number of the matcher in the parameter stereo_algorithm.
@@ -65,6 +67,7 @@ _LINES = (
             *(*_TEMPORAL, *_NETWORK),
         ),
         "three times the percentage by which the lowest summed cost must lie below the lowest one at least 2 px away",
+        takes_prior=True,
     ),
     MatcherInfo(
         "window",

@@ -14,18 +14,17 @@ import numpy as np
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, SerializedPair
+from stereo_depth_ros.bags.projected_sweeps import ProjectedSweep, ProjectedSweeps, SensorTopic
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
-from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.errors import CalibrationError, MessageError, StereoDepthError
 from stereo_depth_ros.core.pair_memory import PairMemory
-from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import RectifiedPair
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSource, make_scene
-from stereo_depth_ros.evaluation.truth import DisparityTruth, RangeTruth, Truth, TruthOption, TruthSource, open_truth
+from stereo_depth_ros.evaluation.truth import DisparityTruth, Truth, TruthOption, TruthSource, open_truth
 from stereo_depth_ros.matching.protocol import Images
 from stereo_depth_ros.stages.rectification import Rectifier
 
@@ -51,6 +50,7 @@ class BagScenes:
         pair_count: number of pairs that the matchers match together, see :class:`Scene`.
         gap_ns: longest time between these, see :class:`PairMemory`.
         truth: the topic of the truth, see :func:`open_truth`.
+        prior: the range sensor that gives the scenes a prior; None for none.
 
     Attributes:
         path: of the bag.
@@ -69,6 +69,7 @@ class BagScenes:
         pair_count: int = 1,
         gap_ns: int | None = None,
         truth: TruthOption | None = None,
+        prior: SensorTopic | None = None,
     ) -> None:
         self._pair_count, self._gap_ns = pair_count, gap_ns
         self._selection, self.path = selection, selection.path
@@ -77,42 +78,50 @@ class BagScenes:
         self._depth, self._rectified_depth = BitDepth(), BitDepth()
         self._option = truth or TruthOption()
         self._truth: TruthSource | None = None
+        self._prior = prior
+        self._sweeps: ProjectedSweeps | None = None
         with BagReader(self.path) as reader:
             is_range = not isinstance(open_truth(reader, self._option), DisparityTruth)
+            if prior is not None:  # refused before anything runs
+                ProjectedSweeps(reader, prior)
             count = 0 if is_range else reader.topics[self._option.topic].count
         with BagPairs(selection, PairingConfig()) as pairs:  # refuses a bag without pairs before anything runs
             self.names = [self._name(number) for number in range(pairs.count)]
         self._count = len(self.names) if is_range else count
         self.files = bag_files(self.path) + ([] if self._option.extrinsics is None else [self._option.extrinsics])
+        self.files += [] if prior is None or prior.extrinsics is None else [prior.extrinsics]
 
     def __len__(self) -> int:
         return self._count
 
     def __iter__(self) -> Iterator[SceneSource]:
         with BagReader(self.path) as reader, BagPairs(self._selection, PairingConfig()) as pairs:
-            self._truth = truth = open_truth(reader, self._option)
-            if isinstance(truth, RangeTruth) and pairs.topics.rectified and not self._selection.camera_files:
-                truth.placement.turned = _rectified_from_left(reader, pairs.topics.left_info)
+            self._truth = truth = open_truth(reader, self._option, pairs.rectified_info)
+            self._sweeps = None if self._prior is None else ProjectedSweeps(reader, self._prior, pairs.rectified_info)
             memory: PairMemory[Images] = PairMemory(self._pair_count, self._gap_ns)
             for number, pair in enumerate(pairs.pairs()):
                 rectified = cache(partial(self._rectified, pair, pairs.topics.image_type, memory))
+                rig_of = partial(self._rig, pair, pairs.topics.image_type)
                 try:
-                    read = truth.of(pair.stamp_ns, partial(self._rig, pair, pairs.topics.image_type))
+                    read = truth.of(pair.stamp_ns, rig_of)
+                    project_sweep = None if self._sweeps is None else self._sweeps.of(pair.stamp_ns, rig_of)
                 except (CalibrationError, MessageError):  # of this pair: loading it raises the same
                     yield SceneSource(
                         self._name(number), partial(self._load, rectified, lambda: Truth(np.zeros((0, 0), np.float32)))
                     )
                     continue
                 if read is not None:
-                    yield SceneSource(self._name(number), partial(self._load, rectified, read))
+                    yield SceneSource(self._name(number), partial(self._load, rectified, read, project_sweep))
                 if self._pair_count > 1:
                     with contextlib.suppress(StereoDepthError):  # a pair that cannot be read is in no memory
                         rectified()
 
     @property
     def facts(self) -> str:
-        """Where the truth of the scenes that were read comes from; empty for disparities."""
-        return "" if self._truth is None else self._truth.facts
+        """Where truth and prior of the scenes that were read come from; empty for disparities without a prior."""
+        parts = [] if self._truth is None else [self._truth.facts]
+        parts += [] if self._sweeps is None else [f"prior of {self._sweeps.facts}"]
+        return "; ".join(part for part in parts if part)
 
     def _name(self, number: int) -> str:
         return f"{self.path.resolve().stem}/{number:04d}"
@@ -126,7 +135,12 @@ class BagScenes:
         earlier = memory.add((rectified.left, rectified.right), pair.stamp_ns, rig)
         return _Rectified(rig, rectifier, rectified, earlier)
 
-    def _load(self, source: Callable[[], _Rectified], read: Callable[[], Truth]) -> Scene:
+    def _load(
+        self,
+        source: Callable[[], _Rectified],
+        read: Callable[[], Truth],
+        project_sweep: Callable[[], ProjectedSweep] | None = None,
+    ) -> Scene:
         rig, rectifier, rectified, earlier = source()
         truth = read()
         truth_px = truth.disparity_px
@@ -134,11 +148,5 @@ class BagScenes:
             truth_px[~rectifier.left_source] = np.nan
         parts = (rectified.left, rectified.right, truth_px, truth.visible)
         scene = make_scene(*parts, doffs_px=rig.doffs_px, earlier=earlier)
-        return dataclasses.replace(scene, occlusion="truth")
-
-
-def _rectified_from_left(reader: BagReader, topic: str | None) -> Pose | None:
-    """By R of the first camera info, which those of rectified images do not count otherwise; None where it has none."""
-    message = None if topic is None else next(reader.messages([topic]), None)
-    R = np.zeros((3, 3)) if message is None else camera_from_info(reader.deserialize(message)).R
-    return Pose(R, np.zeros(3)) if R.any() else None
+        prior = None if project_sweep is None else project_sweep().prior
+        return dataclasses.replace(scene, occlusion="truth", prior=prior)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,21 +12,17 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.bags.projected_sweeps import ProjectedSweeps, SensorTopic
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.stamped import StampedMessages
-from stereo_depth_ros.bags.sweeps import Sweeps
-from stereo_depth_ros.bags.transforms import read_transforms
-from stereo_depth_ros.camera_files.extrinsics import read_extrinsics
-from stereo_depth_ros.core.errors import TopicError, TransformError
+from stereo_depth_ros.core.errors import TopicError
 from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32
 from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC
 from stereo_depth_ros.messages.disparity import matched_disparity
-from stereo_depth_ros.ranging.placement import Placement
 from stereo_depth_ros.ranging.projection import SparseDisparity, project
-from stereo_depth_ros.ranging.sensor_points import DEFAULT_SIGMA_M, SensorPoints
 
 __all__ = ["DisparityTruth", "RangeTruth", "Truth", "TruthOption", "TruthSource", "open_truth"]
 
@@ -72,8 +67,8 @@ class TruthSource(Protocol):
         """Where the truth comes from, and what of it was used so far; empty for disparities."""
 
 
-def open_truth(reader: BagReader, option: TruthOption) -> TruthSource:
-    """The truth of a bag.
+def open_truth(reader: BagReader, option: TruthOption, rectified_info: str | None = None) -> TruthSource:
+    """The truth of a bag; see :class:`ProjectedSweeps` for ``rectified_info``.
 
     Raises:
         TopicError: no such topic, or a type that tells no truth.
@@ -91,7 +86,7 @@ def open_truth(reader: BagReader, option: TruthOption) -> TruthSource:
         )
     if info is not None and info.msgtype == _DISPARITY:
         return DisparityTruth(reader, option.topic)
-    return RangeTruth(reader, option)
+    return RangeTruth(reader, option, rectified_info)
 
 
 class DisparityTruth:
@@ -119,28 +114,14 @@ class DisparityTruth:
 
 
 class RangeTruth:
-    """Points of a range sensor in the left rectified image.
-
-    Of each pair the sweep with the nearest stamp is taken. Where /tf or odometry tells how the cameras move, points are
-    moved to the time of the pair; elsewhere pairs are left out whose sweep is more than half a period away.
-
-    Attributes:
-        placement: takes the points to the left rectified camera.
+    """Points of a range sensor in the left rectified image, see :class:`ProjectedSweeps`.
 
     Raises:
-        TopicError: as :class:`Sweeps`.
-        CalibrationError: as :func:`read_extrinsics`.
+        TopicError, CalibrationError: as :class:`ProjectedSweeps`.
     """
 
-    def __init__(self, reader: BagReader, option: TruthOption) -> None:
-        self._option = option
-        self._sweeps = Sweeps(reader, option.topic, DEFAULT_SIGMA_M)
-        self._transforms = read_transforms(reader)
-        extrinsics = None if option.extrinsics is None else read_extrinsics(option.extrinsics)
-        self.placement = Placement(self._transforms.tree, extrinsics)
-        self._counts: Counter[str] = Counter()
-        self._left_out: dict[str, str] = {}
-        self._moved = False
+    def __init__(self, reader: BagReader, option: TruthOption, rectified_info: str | None = None) -> None:
+        self._sweeps = ProjectedSweeps(reader, SensorTopic(option.topic, option.extrinsics), rectified_info)
 
     def of(self, stamp_ns: int, rig_of: Callable[[], StereoRig]) -> Callable[[], Truth] | None:
         """See :class:`TruthSource`.
@@ -148,66 +129,21 @@ class RangeTruth:
         Raises:
             TransformError: the sensor and the left camera are not connected.
         """
-        sweep = self._sweeps.nearest(stamp_ns)
-        if sweep is None:
+        project_sweep = self._sweeps.of(stamp_ns, rig_of)
+        if project_sweep is None:
             return None
-        rig, frame = rig_of(), self._sweeps.frame_id
-        self._moved = self.placement.motion_known(rig, frame)
-        limit_ns = self.placement.limit_ns(rig, frame, self._sweeps.period_ns)
-        if abs(sweep[0] - stamp_ns) > limit_ns + 1:
-            period = f"{limit_ns / 1e6:.0f} ms, {'a' if self._moved else 'half a'} period"
-            self._leave_out("far from a sweep", f"whose nearest sweep is more than {period}, away")
-            return None
-        try:
-            self.placement.pose(rig, stamp_ns, frame, sweep[0])
-        except TransformError as error:
-            self._leave_out("without transform", str(error.problem))
-            return None
-        return lambda: self._read(stamp_ns, sweep[1], rig)
+
+        def read() -> Truth:
+            sweep = project_sweep()
+            visible = _seen_by_right(sweep.in_camera, sweep.sigma_m, rig_of(), sweep.seen)
+            return Truth(sweep.seen.disparity_px, visible)
+
+        return read
 
     @property
     def facts(self) -> str:
         """See :class:`TruthSource`."""
-        counts = self._counts
-        origin = f"transform of {self._option.extrinsics}" if self._option.extrinsics else "transform of /tf_static"
-        if self._transforms.topics and not self._option.extrinsics:
-            origin = f"transform of {', '.join(self._transforms.topics)}"
-        moved = "moved to the time of each pair" if self._moved else "the motion between sweep and pair is not known"
-        parts = [
-            f"{self._option.topic}, {self._sweeps.msgtype.rpartition('/')[2]} of frame {self._sweeps.frame_id}",
-            f"{counts['visible']} px of {counts['pairs']} pairs",
-            f"{counts['occluded']} hidden to the camera, {counts['outside']} outside, {counts['behind']} behind",
-            *([f"dropped: {text}"] if (text := self._dropped()) else []),
-            origin,
-            moved,
-            *(f"{counts[reason]} pairs left out, {text}" for reason, text in self._left_out.items()),
-        ]
-        if self._transforms.left_out:
-            parts.append(f"{self._transforms.left_out} transforms left out, {self._transforms.first}")
-        return "; ".join(parts)
-
-    def _read(self, stamp_ns: int, data: bytes, rig: StereoRig) -> Truth:
-        points = self._sweeps.points(data)
-        in_camera = self.placement.place(points, rig, stamp_ns)
-        triangulation, size = Triangulation.from_rig(rig), (rig.width, rig.height)
-        seen = project(in_camera, points.sigma_m, Pose.identity(), triangulation, size)
-        self._count(points, seen)
-        return Truth(seen.disparity_px, _seen_by_right(in_camera, points.sigma_m, rig, seen))
-
-    def _count(self, points: SensorPoints, seen: SparseDisparity) -> None:
-        self._counts["pairs"] += 1
-        for name in ("visible", "occluded", "outside", "behind"):
-            self._counts[name] += getattr(seen, name)
-        for reason, count in points.dropped.items():
-            self._counts[f"dropped {reason}"] += count
-
-    def _dropped(self) -> str:
-        found = {name: count for name, count in self._counts.items() if name.startswith("dropped ")}
-        return ", ".join(f"{count} {name.removeprefix('dropped ')}" for name, count in found.items())
-
-    def _leave_out(self, reason: str, text: str) -> None:
-        self._counts[reason] += 1
-        self._left_out.setdefault(reason, text)
+        return self._sweeps.facts
 
 
 def _seen_by_right(in_camera: F32, sigma_m: float, rig: StereoRig, seen: SparseDisparity) -> npt.NDArray[np.bool_]:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stereo_depth_ros.config import MatchingConfig
+from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.core.errors import ConfigError, ImageError
 from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8, MatchResult
@@ -28,11 +29,15 @@ class SerialMatcher(ABC):
     uses_one_core = False
     pair_count = 1
     engine = ""
-    takes_prior = False
 
     def __init__(self, config: MatchingConfig) -> None:
         self.config = config
         self._turn = threading.Lock()
+
+    @property
+    def takes_prior(self) -> bool:
+        """See :class:`Matcher`."""
+        return MATCHERS[self.name].takes_prior
 
     @property
     def support_px(self) -> tuple[int, int]:

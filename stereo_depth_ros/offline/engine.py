@@ -13,6 +13,8 @@ from typing import Any
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, SerializedPair
+from stereo_depth_ros.bags.projected_sweeps import ProjectedSweeps, SensorTopic
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
@@ -43,6 +45,7 @@ def process_bag(
     overwrite: bool = False,
     strict: bool = False,
     each: Callable[[StereoResult], None] = lambda result: None,
+    prior: SensorTopic | None = None,
 ) -> RunReport:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
@@ -57,6 +60,8 @@ def process_bag(
         overwrite: replace an existing output.
         strict: raise what is a warning otherwise: the first pairs do not fit the calibration, see :class:`FirstPairs`.
         each: called with every result, after its outputs are written.
+        prior: range sensor of the bag whose points the matcher takes as a prior. Pairs without a sweep in time are
+            matched without; the warnings say how many.
 
     Raises:
         BagError, TopicError: no readable stereo bag, stamps that are not set, or no pair that can be processed.
@@ -70,12 +75,13 @@ def process_bag(
     stages_ms: dict[str, list[float]] = defaultdict(list)
     engine = _Engine(config, views, each)
     selection, choice = open_selection(selection, config.pairing)
-    with BagPairs(selection, config.pairing) as pairs:
+    with BagPairs(selection, config.pairing) as pairs, BagReader(selection.path) as reader:
+        sweeps = None if prior is None else ProjectedSweeps(reader, prior, pairs.rectified_info)
         with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
             start, warm_up_s, sent, skipped = time.perf_counter(), 0.0, 0, 0
             for sent, pair in enumerate(pairs.pairs(), start=1):
                 try:
-                    timings_ms = engine.process(pair, pairs.topics.image_type, writer)
+                    timings_ms = engine.process(pair, pairs.topics.image_type, writer, sweeps)
                 except CameraOrderError as error:  # of the pairs before it too, which showed too little
                     raise error.about(selection.path) from error
                 except OutputError:
@@ -112,6 +118,7 @@ def process_bag(
                 *pairs.losses,
                 *refused.values(),
                 *([str(engine.fault)] if engine.fault else []),
+                *(f"without a prior: {text}" for text in ([] if sweeps is None else sweeps.left_out)),
             ),
         )
 
@@ -144,10 +151,22 @@ class _Engine:
         self.rig: StereoRig | None = None
         self.fault: StereoDepthError | None = None
 
-    def process(self, pair: SerializedPair, image_type: str, writer: BagWriter) -> dict[str, float]:
+    def process(
+        self, pair: SerializedPair, image_type: str, writer: BagWriter, sweeps: ProjectedSweeps | None
+    ) -> dict[str, float]:
         """Compute a pair and write its messages; returns milliseconds per stage."""
         pipeline = self._pipelines.of(pair, image_type)
-        result = pipeline.process(pair.images(self._types, image_type, pipeline.rig, self._depth))
+        prior, prior_ms = None, 0.0
+        if sweeps is not None:
+            start = time.perf_counter()
+            rig = pipeline.rig
+            assert isinstance(rig, StereoRig)  # of camera infos
+            project_sweep = sweeps.of(pair.stamp_ns, lambda: rig)
+            prior = None if project_sweep is None else project_sweep().prior
+            prior_ms = 1e3 * (time.perf_counter() - start)
+        result = pipeline.process(pair.images(self._types, image_type, pipeline.rig, self._depth), prior)
+        if sweeps is not None:
+            result.timings_ms["prior"] = prior_ms
         self.rig = result.calibrated_rig
         assert self._first is not None  # made with the pipeline
         fault = self._first.look(result.pair, result.rectified.left, result.rectified.right, result.disparity)

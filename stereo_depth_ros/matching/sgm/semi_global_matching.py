@@ -82,7 +82,6 @@ class SemiGlobalMatcher(SerialMatcher):
     name = "sgm"
     step_px = 1 / STEPS_PER_PX
     support_px = CENSUS_WINDOW
-    takes_prior = True
 
     def __init__(self, config: MatchingConfig) -> None:
         """Raise ConfigError if the penalties contradict each other."""
