@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Surfaces of range images: time of meshes, normals and files, and accuracy on a rendered scene with exact truth.
+"""Surfaces of range images: time of meshes, normals, files and fusion, and accuracy on scenes with exact truth.
 
 python benchmarks/surfaces.py
-python benchmarks/surfaces.py --json surfaces.json
+python benchmarks/surfaces.py --data ~/stereo --json surfaces.json
 
 Times are medians over calls in turns in one run.
 """
@@ -17,22 +17,33 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from stereo_depth_ros.config import PipelineConfig
+from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.triangulation import Triangulation
-from stereo_depth_ros.core.types import F32
+from stereo_depth_ros.core.types import F32, F64
+from stereo_depth_ros.datasets.posed import open_posed
 from stereo_depth_ros.files.output import write_file
+from stereo_depth_ros.geometry.robust import robust_sigma
+from stereo_depth_ros.offline.camera_poses import poses_of_file
+from stereo_depth_ros.offline.fuse import fuse_sequence
+from stereo_depth_ros.offline.sequence import DatasetSequence
 from stereo_depth_ros.stages.depth import depth_sigma
 from stereo_depth_ros.surfaces.mesh import mesh_of, normal_image
 from stereo_depth_ros.surfaces.range_image import RangeImage
+from stereo_depth_ros.surfaces.volume import SurfaceVolume
 from stereo_depth_ros.surfaces.writing import write_surface
 from stereo_depth_ros.synthetic.projection import SyntheticScanner
+from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 CALLS = 5
 SIGMA_PX = 0.1
+VOXEL_M = 0.02
 ENDS = (".ply", ".glb", ".cloud.ply", ".pcd", ".png", ".npz")
 
 
@@ -47,11 +58,13 @@ class Row(NamedTuple):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", default="640x480", help="width and height, px")
+    parser.add_argument("--frames", type=int, default=100, help="number of range images that are fused")
+    parser.add_argument("--data", type=Path, help="folder with kitti_odometry/seqA_1226x370, which is fused too")
     parser.add_argument("--json", type=Path, help="write the rows as JSON")
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
     rows = []
-    for row in measured(width, height):
+    for row in chain(measured(width, height), fused(width, height, arguments.frames), road(arguments.data)):
         print("| " + " | ".join(row) + " |", flush=True)
         rows.append(row._asdict())
     if arguments.json:
@@ -90,6 +103,72 @@ def measured(width: int, height: int) -> Iterator[Row]:
             path = Path(folder, f"s{end}")
             took_ms = median_ms(partial(write_surface, path, image, overwrite=True))
             yield Row(data, f"time and size of {end}", f"{took_ms:.0f} ms, {path.stat().st_size / 1e6:.1f} MB")
+
+
+def fused(width: int, height: int, frames: int) -> Iterator[Row]:
+    """The room, with the noise of disparities of SIGMA_PX, from known poses along the way of its camera."""
+    sequence = SyntheticSequence(100, width, height)
+    geometry, volume, times_ms = Triangulation.from_rig(sequence.rig), SurfaceVolume(VOXEL_M), []
+    for number in np.linspace(0, 99, frames).astype(int).tolist():
+        frame, (R, center) = sequence[number], sequence.pose(number)
+        depth_m = np.where(frame.occluded, np.float32(np.nan), frame.truth_depth_m)
+        sigma_m = depth_sigma(depth_m, geometry, SIGMA_PX)
+        noise = np.random.default_rng(number).normal(0, 1, depth_m.shape).astype(np.float32)
+        image = RangeImage(depth_m + noise * sigma_m, sigma_m, geometry, frame.pair.left.pixels)
+        pose = Pose(R, center) @ Pose(np.ascontiguousarray(sequence.rig.left.R.T), np.zeros(3))
+        start = time.perf_counter()
+        volume.integrate(image, pose)
+        times_ms.append(1e3 * (time.perf_counter() - start))
+    start = time.perf_counter()
+    surface = volume.surface(fewest_triangles=100)
+    took_ms, mesh = 1e3 * (time.perf_counter() - start), surface.mesh
+    off = sequence.scene.distances(mesh.points_m.astype(np.float64))
+    data = f"room, {frames} range images of {width}x{height}, voxels of {VOXEL_M} m"
+    yield Row(data, "time of an image", f"{statistics.median(times_ms):.0f} ms")
+    yield Row(data, "time of the surface", f"{took_ms:.0f} ms")
+    yield Row(data, "points, triangles", f"{len(mesh.points_m)}, {len(mesh.triangles)}")
+    yield Row(data, "memory of the volume", f"{volume.memory_bytes / 2**20:.0f} MiB")
+    median, most = np.percentile(1e3 * off, [50, 95])
+    yield Row(data, "distance from the truth, median and 95 %", f"{median:.1f} mm, {most:.1f} mm")
+    median, most = np.percentile(off / np.maximum(mesh.sigma_m, 0.1 * VOXEL_M), [50, 95])
+    yield Row(data, "the same in standard deviations", f"{median:.2f}, {most:.2f}")
+
+
+def road(data: Path | None) -> Iterator[Row]:
+    """A street, matched by the default matcher, with its poses."""
+    if data is None:
+        return
+    config, volume = PipelineConfig(), SurfaceVolume(0.1)
+    posed = open_posed(data / "kitti_odometry" / "seqA_1226x370")
+    assert posed.poses is not None
+    poses = poses_of_file(posed.poses, 10**9, None, posed)
+    report = fuse_sequence(DatasetSequence(posed, config), poses, volume, max_depth_m=25.0)
+    mesh = volume.surface(fewest_triangles=100).mesh
+    spread_m, count = road_spread(mesh.points_m.astype(np.float64))
+    name = f"street, {report.fused} pairs of 1226x370, voxels of 0.1 m"
+    yield Row(name, "time of an image", f"{report.integrate_ms:.0f} ms")
+    yield Row(name, "points, triangles", f"{len(mesh.points_m)}, {len(mesh.triangles)}")
+    yield Row(name, "memory of the volume", f"{volume.memory_bytes / 2**20:.0f} MiB")
+    yield Row(name, "heights of the lane above its plane, robust std", f"{1e3 * spread_m:.1f} mm, {count} points")
+
+
+def road_spread(points_m: F64) -> tuple[float, int]:
+    """Robust standard deviation of heights above the plane of a lane, meters, and the number of its points.
+
+    The lane is 2 m to both sides, 5 to 15 m ahead, 1.2 to 2.2 m below the first camera. The plane is that of least
+    squares without what is farther than three robust standard deviations (1.4826 times the median deviation).
+
+    Args:
+        points_m: float64 (N, 3), x right, y down, z forward.
+    """
+    x, y, z = points_m.T
+    x, y, z = points_m[(np.abs(x) < 2) & (y > 1.2) & (y < 2.2) & (z > 5) & (z < 15)].T
+    A, kept, spread_m = np.stack((x, z, np.ones(len(x))), axis=1), np.ones(len(x), bool), 0.0
+    for _ in range(10):
+        off = y - A @ np.linalg.lstsq(A[kept], y[kept], rcond=None)[0]
+        spread_m = robust_sigma(off - np.median(off))
+        kept = np.abs(off) < 3 * spread_m
+    return spread_m, len(x)
 
 
 def angle(found: F32, expected: F32) -> str:

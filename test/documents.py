@@ -20,6 +20,7 @@ from evaluation_scenes import HEIGHT, WIDTH, write_scene
 from focal_stacks import write_distances, write_stack
 from known_projector import BESIDE
 from light_stripe_images import board_camera, write_boards
+from posed_bags import write_drive, write_kitti
 from rendered_boards import SIZE, KnownRig, chessboard_points, chessboard_print, poses
 from rendered_turntable import rendering_camera, write_table
 from stripe_scans import exact_plane, scanner, write_scan
@@ -204,6 +205,8 @@ INPUTS: Mapping[str, Callable[[Path], object]] = {
     "kitti_drive": make_kitti_with_sweeps,
     "MH_01_easy": make_euroc,
     "image_pairs": _write_image_pairs,
+    "sequence_07": write_kitti,
+    "robot.mcap": write_drive,
     "laser_boards": write_boards,
     "laser.yaml": lambda path: write_plane(path, exact_plane(), scanner().rig.left),
     "scan_images": lambda path: write_scan(path.parent / "scan").joinpath("images").rename(path),

@@ -16,6 +16,7 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.core.pose import Pose
+from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.synthetic.bag import write_synthetic_bag
 
 # The robot: its base is 0.4 m below and 0.2 m behind the left camera, x forward, y left, z up; the world is turned too.
@@ -132,3 +133,31 @@ CAMERA_LINK = Pose(np.identity(3), BASE_FROM_CAMERA.translation_m)
 STATIC = fixed(
     ("base_link", "camera_link", CAMERA_LINK), ("/camera_link", FRAME, Pose(BASE_FROM_CAMERA.rotation, np.zeros(3)))
 )
+
+
+def write_kitti(folder: Path, frames: int = 3) -> Path:
+    """The pairs as those of KITTI: of a rectified rig, with poses of its camera."""
+    made = sequence(frames)
+    rig = made.rig
+    rectifier, rows = Rectifier(rig), []
+    for index in range(frames):
+        pair = rectifier.rectify(made[index].pair)
+        for name, image in (("image_0", pair.left), ("image_1", pair.right)):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(folder / name / f"{index:06d}.png"), image)
+        pose = camera_pose(made.stamp_ns(index)) @ Pose(rig.left.R.T, np.zeros(3))
+        rows.append(" ".join(f"{value:.9g}" for value in pose.matrix[:3].ravel()))
+    (folder / "poses.txt").write_text("\n".join(rows))
+    calibration = []
+    for number, camera in enumerate((rig.left, rig.right)):
+        calibration.append(f"P{number}: " + " ".join(f"{value:.12g}" for value in camera.P.ravel()))
+    (folder / "calib.txt").write_text("\n".join(calibration))
+    return folder
+
+
+def write_drive(path: Path, frames: int = 3, before_ns: int = 0) -> Path:
+    """Pairs and the odometry of a robot, which ends so long before the last pair."""
+    end_ns = sequence(frames).stamp_ns(frames - 1) + 20_000_000 - before_ns
+    times = [stamp_ns for stamp_ns in stamps(frames) if stamp_ns < end_ns]
+    poses = [("/odom", t, lambda types, t: odometry(types, t, "base_link", base_pose(t))) for t in times]
+    return write_bag(path, frames, [STATIC, *poses])

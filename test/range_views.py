@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.surfaces.mesh import Mesh
 from stereo_depth_ros.surfaces.range_image import RangeImage
-from stereo_depth_ros.synthetic.scene import Cylinder, Primitive, Sphere
 
 WIDTH, HEIGHT = 120, 100
 GEOMETRY = Triangulation(136.0, 130.0, 57.5, 51.0, 0.12, 3.5)
@@ -114,23 +113,3 @@ def area_and_volume(mesh: Mesh) -> tuple[float, float]:
     a, b, c = (mesh.points_m[mesh.triangles[:, i]].astype(np.float64) for i in range(3))
     cross = np.cross(b - a, c - a)
     return float(np.linalg.norm(cross, axis=1).sum() / 2), float(np.sum(a * cross) / 6)
-
-
-def distance_to_scene(points: F64, primitives: Sequence[Primitive]) -> F64:
-    """Distance of each point, float64 (N, 3), from the nearest surface of a synthetic scene, meters."""
-    nearest_m = np.full(len(points), np.inf)
-    for primitive in primitives:
-        if isinstance(primitive, Sphere):
-            found = np.abs(np.linalg.norm(points - np.array(primitive.center), axis=1) - primitive.radius_m)
-        elif isinstance(primitive, Cylinder):
-            axis = np.array(primitive.axis)
-            along = np.clip((points - np.array(primitive.base)) @ axis / (axis @ axis), 0, 1)
-            found = np.abs(
-                np.linalg.norm(points - np.array(primitive.base) - along[:, None] * axis, axis=1) - primitive.radius_m
-            )
-        else:
-            u, v, p = np.array(primitive.edge_u), np.array(primitive.edge_v), points - np.array(primitive.corner)
-            a, b = np.clip(p @ u / (u @ u), 0, 1), np.clip(p @ v / (v @ v), 0, 1)
-            found = np.linalg.norm(p - a[:, None] * u - b[:, None] * v, axis=1)
-        nearest_m = np.minimum(nearest_m, found)
-    return nearest_m

@@ -4,16 +4,17 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from command_line import CommandLine
-from posed_bags import MAP_FROM_SCENE, STATIC, base_pose, camera_pose, odometry, stamps, write_bag
-from range_views import distance_to_scene
+from posed_bags import MAP_FROM_SCENE, write_drive, write_kitti
 from stereo_bags import sequence
 from test_camera_poses import tum
 
@@ -21,7 +22,6 @@ from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.stages.depth import depth_sigma
-from stereo_depth_ros.stages.rectification import Rectifier
 from stereo_depth_ros.surfaces.range_image import RangeImage
 from stereo_depth_ros.surfaces.volume import SurfaceVolume
 from stereo_depth_ros.synthetic.scene import Cylinder, room_scene
@@ -36,9 +36,17 @@ OPTIONS = ("--voxel", VOXEL, "--max-depth", 4, "--param", "disparity_range:=48")
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pairs, and the odometry of a robot; the last pair has none."""
-    times = [stamp for stamp in stamps(FRAMES) if stamp < sequence(FRAMES).stamp_ns(FRAMES - 1) - 10_000_000]
-    poses = [("/odom", stamp, lambda types, t: odometry(types, t, "base_link", base_pose(t))) for stamp in times]
-    return write_bag(tmp_path_factory.mktemp("fused") / "drive.mcap", FRAMES, [STATIC, *poses])
+    return write_drive(tmp_path_factory.mktemp("fused") / "drive.mcap", FRAMES, before_ns=30_000_000)
+
+
+def program(name: str) -> Any:
+    """A program of benchmarks/."""
+    path = Path(__file__).resolve().parents[1] / "benchmarks" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(f"{name}_benchmark", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def points_of(path: Path) -> F64:
@@ -62,7 +70,7 @@ def test_a_bag_with_odometry(bag: Path, tmp_path: Path, command_line: CommandLin
     assert (values["pairs"], values["fused"], values["without_pose"], values["skipped"]) == (3, 2, 1, 0)
     assert values["too_far"] > 0 and values["used"] > 5000 and values["z_up"] and values["apart"] < 0.3
     points = MAP_FROM_SCENE.inverse().apply(points_of(output))
-    off = distance_to_scene(points, sequence(FRAMES).scene.primitives)
+    off = sequence(FRAMES).scene.distances(points)
     assert len(points) == values["surfaces"][0]["points"] > 2000
     assert np.median(off) < MEDIAN_M and np.percentile(off, 85) < 4 * MEDIAN_M
     assert cv2.imread(str(preview)).shape[0] > 400
@@ -83,37 +91,16 @@ def test_a_bag_with_a_file_of_poses(bag: Path, tmp_path: Path, command_line: Com
     assert values["refined"] + values["refinement_kept"] == 1
     assert values["parameters"]["disparity_range"] == "48" and values["parameters"]["sequence"] == str(bag)
     points = MAP_FROM_SCENE.inverse().apply(points_of(tmp_path / "room.cloud.ply"))
-    assert np.median(distance_to_scene(points, sequence(FRAMES).scene.primitives)) < MEDIAN_M
+    assert np.median(sequence(FRAMES).scene.distances(points)) < MEDIAN_M
 
 
-def kitti(folder: Path) -> Path:
-    """The pairs as those of KITTI: of a rectified rig, with poses of its camera."""
-    made = sequence(FRAMES)
-    rig = made.rig
-
-    rectifier, rows = Rectifier(rig), []
-    for index in range(FRAMES):
-        pair = rectifier.rectify(made[index].pair)
-        for name, image in (("image_0", pair.left), ("image_1", pair.right)):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(folder / name / f"{index:06d}.png"), image)
-        pose = camera_pose(made.stamp_ns(index)) @ Pose(rig.left.R.T, np.zeros(3))
-        rows.append(" ".join(f"{value:.9g}" for value in pose.matrix[:3].ravel()))
-    (folder / "poses.txt").write_text("\n".join(rows))
-    calibration = []
-    for number, camera in enumerate((rig.left, rig.right)):
-        calibration.append(f"P{number}: " + " ".join(f"{value:.12g}" for value in camera.P.ravel()))
-    (folder / "calib.txt").write_text("\n".join(calibration))
-    return folder
-
-
-def test_a_sequence_of_kitti(tmp_path: Path, command_line: CommandLine) -> None:
-    folder, fuse = kitti(tmp_path / "00"), command_line("fuse")
+def test_a_sequence_of_write_kitti(tmp_path: Path, command_line: CommandLine) -> None:
+    folder, fuse = write_kitti(tmp_path / "00"), command_line("fuse")
     code, out, err = fuse(folder, "-o", tmp_path / "street.ply", *OPTIONS, "--json", "-")
     assert code == 0, err
     values = json.loads(out)
     assert values["fused"] == 3 and not values["z_up"] and values["poses"].endswith("KITTI, of camera 0")
-    off = distance_to_scene(points_of(tmp_path / "street.ply"), sequence(FRAMES).scene.primitives)
+    off = sequence(FRAMES).scene.distances(points_of(tmp_path / "street.ply"))
     assert np.median(off) < MEDIAN_M
     shutil.copy(folder / "poses.txt", tmp_path / "poses.txt")
     (folder / "poses.txt").unlink()
@@ -156,7 +143,7 @@ def test_folders_that_are_not_sequences(tmp_path: Path, command_line: CommandLin
     assert code == 1 and "is neither a bag nor a folder" in err
     code, _, err = fuse(tmp_path, "-o", tmp_path / "x.ply", "--start", 1)
     assert code == 2 and "--start has no effect with a folder" in err
-    code, _, err = fuse(kitti(tmp_path / "00"), "-o", tmp_path / "x.ply", "--side-by-side")
+    code, _, err = fuse(write_kitti(tmp_path / "00"), "-o", tmp_path / "x.ply", "--side-by-side")
     assert code == 2 and "side_by_side has no effect" in err
 
 
@@ -172,11 +159,34 @@ def test_exact_depth_with_noise_gives_the_surfaces_of_the_room(tmp_path: Path) -
         image = RangeImage(depth + noise * sigma, sigma, geometry, frame.pair.left.pixels)
         volume.integrate(image, Pose(*pose) @ Pose(made.rig.left.R.T, np.zeros(3)), max_depth_m=3.5)
     mesh = volume.surface(fewest_triangles=50).mesh
-    off = distance_to_scene(mesh.points_m.astype(np.float64), made.scene.primitives)
+    off = made.scene.distances(mesh.points_m.astype(np.float64))
     floor = np.maximum(mesh.sigma_m, 0.1 * volume.voxel_m)
     assert np.median(off / floor) < 0.5 and np.percentile(off / floor, 95) < 2
     # what is thinner than voxels, boards and poles, gets a back side; beside all others nothing is in the air
-    each = np.stack([distance_to_scene(mesh.points_m.astype(np.float64), [p]) for p in made.scene.primitives])
+    each = np.stack([p.distances(mesh.points_m.astype(np.float64)) for p in made.scene.primitives])
     thin = [n for n, p in enumerate(made.scene.primitives) if isinstance(p, Cylinder) or p in BOARDS]
     beside = np.delete(each, thin, axis=0).min(axis=0) <= each[thin].min(axis=0)
     assert np.count_nonzero(beside) > 4500 and off[beside].max() < 2.5 * volume.voxel_m
+
+
+@pytest.mark.real_data
+def test_a_road_is_flat(tmp_path: Path, command_line: CommandLine, stereo_data: Path) -> None:
+    """Five pairs of a street, cropped: the heights of the lane above its plane, 5 to 15 m ahead of the first pair."""
+    source, folder, (x0, y0) = stereo_data / "kitti_odometry" / "seqA_1226x370", tmp_path / "street", (330, 150)
+    rows = (source / "poses.txt").read_text().splitlines()
+    for name in ("image_l", "image_r"):
+        (folder / name).mkdir(parents=True)
+        for number in range(0, 20, 4):
+            image = cv2.imread(str(source / name / f"{number:06d}.png"), cv2.IMREAD_GRAYSCALE)
+            assert cv2.imwrite(str(folder / name / f"{number:06d}.png"), image[y0:, x0 : x0 + 560])
+    (folder / "poses.txt").write_text("\n".join(rows))
+    P = [np.array(row.split(), float).reshape(3, 4) for row in (source / "calib.txt").read_text().splitlines()[:2]]
+    for matrix in P:
+        matrix[0, 2], matrix[1, 2] = matrix[0, 2] - x0, matrix[1, 2] - y0
+    texts = (" ".join(map(str, matrix.ravel())) for matrix in P)
+    (folder / "calib.txt").write_text("\n".join(f"P{number}: {text}" for number, text in enumerate(texts)))
+    output = tmp_path / "street.cloud.ply"
+    code, _, err = command_line("fuse")(folder, "-o", output, "--voxel", 0.1, "--max-depth", 20)
+    assert code == 0, err
+    spread_m, count = program("surfaces").road_spread(points_of(output))
+    assert count > 2000 and spread_m < 0.02

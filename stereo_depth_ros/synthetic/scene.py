@@ -46,6 +46,12 @@ class Rectangle:
     edge_v: Vector
     texture: Texture = Texture()
 
+    def distances(self, points_m: F64) -> F64:
+        """Distances of points from the surface, as :meth:`Scene.distances`."""
+        u, v, p = np.array(self.edge_u), np.array(self.edge_v), points_m - np.array(self.corner)
+        a, b = np.clip(p @ u / _squared(u), 0, 1), np.clip(p @ v / _squared(v), 0, 1)
+        return np.asarray(np.linalg.norm(p - a[:, None] * u - b[:, None] * v, axis=1), np.float64)
+
     def packed(self) -> F64:
         """The primitive as a row of :meth:`Scene.packed`, float64 (17,)."""
         u, v = np.array(self.edge_u), np.array(self.edge_v)
@@ -61,6 +67,11 @@ class Sphere:
     radius_m: float
     texture: Texture = Texture()
 
+    def distances(self, points_m: F64) -> F64:
+        """Distances of points from the surface, as :meth:`Scene.distances`."""
+        off = np.linalg.norm(points_m - np.array(self.center), axis=1) - self.radius_m
+        return np.asarray(np.abs(off), np.float64)
+
     def packed(self) -> F64:
         """The primitive as a row of :meth:`Scene.packed`, float64 (17,)."""
         zero = (0.0, 0.0, 0.0)
@@ -75,6 +86,12 @@ class Cylinder:
     axis: Vector
     radius_m: float
     texture: Texture = Texture()
+
+    def distances(self, points_m: F64) -> F64:
+        """Distances of points from the surface, as :meth:`Scene.distances`."""
+        axis, p = np.array(self.axis), points_m - np.array(self.base)
+        along = np.clip(p @ axis / _squared(axis), 0, 1)
+        return np.asarray(np.abs(np.linalg.norm(p - along[:, None] * axis, axis=1) - self.radius_m), np.float64)
 
     def packed(self) -> F64:
         """The primitive as a row of :meth:`Scene.packed`, float64 (17,)."""
@@ -101,6 +118,10 @@ class Scene:
     def packed(self) -> F64:
         """The primitives for the ray casting kernels, float64 (N, 17), one row each."""
         return np.stack([primitive.packed() for primitive in self.primitives])
+
+    def distances(self, points_m: F64) -> F64:
+        """Distance of each point, float64 (N, 3), from the nearest surface, float64 (N,), meters."""
+        return np.asarray(np.min([primitive.distances(points_m) for primitive in self.primitives], axis=0), np.float64)
 
 
 def room_scene(seed: int) -> Scene:
