@@ -295,3 +295,48 @@ def test_search_beyond_the_network(tmp_path: Path) -> None:
     matcher(model, num_disparities=128).match(*shifted_pair(80, 204, 6))  # 63 of its px are 128 of these
     with pytest.raises(ConfigError, match=r"disparity_range = 144 is above .* up to 129 px: use 128 or less"):
         matcher(model, num_disparities=144).match(*shifted_pair(80, 204, 6))
+
+
+def changed(path: Path, change: Any) -> str:
+    """A network that ran, in a file that is changed after that."""
+    network = Network()
+    model = onnx.load(network.save(path, {"disparity": left_gray(network)}))
+    change(model)
+    onnx.save(model, str(path))
+    return str(path)
+
+
+def test_versions_and_operators_that_onnxruntime_lacks(tmp_path: Path) -> None:
+    """In one line, without what only the authors of ONNX Runtime understand."""
+
+    def later(model: Any) -> None:
+        model.ir_version = 99
+
+    def unknown(model: Any) -> None:
+        model.graph.node[-1].op_type = "Unheard"
+
+    for change, says in ((later, "Unsupported model IR version: 99"), (unknown, "Unheard")):
+        with pytest.raises(
+            ConfigError, match=f"is not a network that can be run: .*{says}.*: export it again"
+        ) as error:
+            matcher(changed(tmp_path / "network.onnx", change))
+        assert str(error.value).count("network.onnx") == 1 and "::" not in str(error.value)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x08\x07\x12", bytes(range(256)) * 9])
+def test_files_that_hold_no_network(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "network.onnx"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError, match=r"network\.onnx' is not an ONNX file: "):
+        matcher(str(path))
+
+
+def test_output_that_is_not_a_number(tmp_path: Path) -> None:
+    network = Network()
+    model = network.save(tmp_path / "network.onnx", {"output": left_gray(network)})
+    loaded = onnx.load(model)
+    loaded.graph.node[-1].CopyFrom(onnx.helper.make_node("Equal", ["left", "right"], ["output"]))
+    loaded.graph.output[0].type.tensor_type.elem_type = TensorProto.BOOL
+    onnx.save(loaded, model)
+    with pytest.raises(ConfigError, match=r"has an output 'output' of bool: export it as float32"):
+        matcher(model).match(*shifted_pair(51, 140, 6))

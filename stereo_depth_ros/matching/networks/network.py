@@ -178,13 +178,21 @@ def _session(runtime: Any, model: str, provider: str, last: bool) -> Any:
             return None
         text = _text(error)
         kind = "is not an ONNX file" if "protobuf" in text.lower() else "is not a network that can be run"
-        raise model_error(model, f"{kind}: {text}", "an ONNX network", "export it again") from error
+        remedy = "export it again, in one file and for the version of onnxruntime that is installed"
+        raise model_error(model, f"{kind}: {text}", "an ONNX network", remedy) from error
     return session if session.get_providers()[0] == names[0] else None
 
 
 def _text(error: Exception) -> str:
-    """What ONNX Runtime says, in one line, without the number and name of its error."""
-    return re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", " ".join(str(error).split()))
+    """What ONNX Runtime says, in one line, without the number of its error, the path and the place in its source."""
+    text = " ".join(str(error).split())
+    for part in (
+        r"^\[ONNXRuntimeError\] : \d+ : \w+ : ",
+        r"^Load model from .*? failed: ?",
+        r"/\S*onnxruntime\S*:\d+ .*?\) ",
+    ):
+        text = re.sub(part, "", text)
+    return text
 
 
 def model_error(model: str, problem: str, limit: object, remedy: str) -> ConfigError:
