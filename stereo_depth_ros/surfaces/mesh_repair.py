@@ -14,7 +14,7 @@ from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.surfaces.mesh import Mesh
 
-__all__ = ["filled_holes", "hole_loops", "without_small_pieces"]
+__all__ = ["filled_holes", "hole_loops", "piece_sizes", "without_small_pieces"]
 
 
 def without_small_pieces(mesh: Mesh, fewest: int) -> tuple[Mesh, int, int]:
@@ -25,9 +25,7 @@ def without_small_pieces(mesh: Mesh, fewest: int) -> tuple[Mesh, int, int]:
     """
     if fewest <= 1 or not len(mesh.triangles):
         return mesh, 0, 0
-    labels = np.arange(len(mesh.points_m), dtype=np.int32)
-    _label_pieces(mesh.triangles, labels)
-    sizes = np.bincount(labels[mesh.triangles[:, 0]], minlength=len(labels))
+    labels, sizes = _pieces(mesh)
     kept = sizes[labels] >= fewest
     small = (sizes > 0) & (sizes < fewest)
     triangles = mesh.triangles[kept[mesh.triangles[:, 0]]]
@@ -35,6 +33,21 @@ def without_small_pieces(mesh: Mesh, fewest: int) -> tuple[Mesh, int, int]:
     pieces, removed = int(np.count_nonzero(small)), len(mesh.triangles) - len(triangles)
     vertices = (mesh.normals[kept], mesh.colors[kept], mesh.sigma_m[kept])
     return Mesh(mesh.points_m[kept], numbers[triangles], *vertices), pieces, removed
+
+
+def piece_sizes(mesh: Mesh) -> npt.NDArray[np.intp]:
+    """The number of triangles of each piece, int (K,)."""
+    if not len(mesh.triangles):
+        return np.zeros(0, np.intp)
+    sizes = _pieces(mesh)[1]
+    return sizes[sizes > 0]
+
+
+def _pieces(mesh: Mesh) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.intp]]:
+    """The label of the piece of each vertex, and the number of triangles of each label."""
+    labels = np.arange(len(mesh.points_m), dtype=np.int32)
+    _label_pieces(mesh.triangles, labels)
+    return labels, np.bincount(labels[mesh.triangles[:, 0]], minlength=len(labels))
 
 
 @compiled("void(int32[:, ::1], int32[::1])")
