@@ -33,6 +33,7 @@ __all__ = [
     "read_disparity_image",
     "read_frame",
     "read_image",
+    "read_level_image",
     "read_pair",
 ]
 
@@ -78,7 +79,16 @@ def read_pair(left: Path, right: Path) -> tuple[U8, U8]:
 
 
 def read_disparity_image(path: Path) -> npt.NDArray[Any]:
-    """The levels of a disparity image, (H, W), in the dtype of the file.
+    """The levels of a disparity image, as of :func:`read_level_image`."""
+    return read_level_image(path, "a disparity image")
+
+
+def read_level_image(path: Path, kind: str) -> npt.NDArray[Any]:
+    """The levels of an image of one channel, (H, W), in the dtype of the file.
+
+    Args:
+        path: the file.
+        kind: what it should be, for errors, such as "a depth image".
 
     Raises:
         BagError: not a readable image of one channel.
@@ -86,7 +96,7 @@ def read_disparity_image(path: Path) -> npt.NDArray[Any]:
     image = _read(path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2:
         raise BagError(
-            f"has {image.shape[2]} channels, a disparity image has one",
+            f"has {image.shape[2]} channels, {kind} has one",
             subject=str(path),
             value=image.shape[2],
             limit=1,

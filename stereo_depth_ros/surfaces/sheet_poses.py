@@ -176,9 +176,7 @@ def _view(image: RangeImage, sheet: DotSheet, name: str) -> _SheetView:
     diameters = found[on, 2] * depth[on] / image.triangulation.f_px
     match = match_dots(flat, diameters, sheet, name)
     kept = on[match.found]
-    return _SheetView(
-        match.dots, found[kept, :2], depth[kept], sigma[kept], on_plane[match.found], match.scale
-    )
+    return _SheetView(match.dots, found[kept, :2], depth[kept], sigma[kept], on_plane[match.found], match.scale)
 
 
 def _depths(image: RangeImage, found: F64) -> tuple[F64, F64]:
