@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of color images with depth images of range cameras (RGB-D): numbered, or in the layout of the TUM benchmark."""
+"""Folders of color images with depth images of range cameras (RGB-D): numbered, or laid out as the TUM benchmark."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ class RgbdFrame:
 class RgbdDataset:
     """Color images, and depth images of the same pixels.
 
-    Known are rgb_N.png with depth_N.png (or color_N), such files in rgb/ or color/ and depth/, and the layout of the TUM
-    benchmark (Sturm and others 2012): rgb.txt and depth.txt, or a table of both, with groundtruth.txt beside it.
+    Known are rgb_N.png with depth_N.png (or color_N), such files in rgb/ or color/ and depth/, and the layout of the
+    TUM benchmark (Sturm and others 2012): rgb.txt and depth.txt, or a table of both, with groundtruth.txt beside it.
     Depths are 16-bit levels, or 32-bit floats in meters; 0 is none.
 
     Args:
@@ -138,7 +138,7 @@ class RgbdDataset:
         return RgbdFrame(number, stamp_ns, color_path.name, color, depth_m.astype(np.float32))
 
     def _undistorted(self, color: U8, depth_m: F32) -> tuple[U8, F32]:
-        """Both images without lens distortion; the depth is that of the nearest pixel, as a mean of two is of neither."""
+        """Both images without lens distortion; depths are those of the nearest pixels: a mean of two is that of none."""
         model, size = self._raw, (self._raw.width, self._raw.height)
         K = self.camera.K
         if model.distortion_model == "equidistant":

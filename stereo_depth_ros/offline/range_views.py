@@ -115,8 +115,8 @@ def fuse_on_sheet(
 ) -> tuple[SheetReport, Solid]:
     """Fuse the views of an object on a sheet of dots to a closed surface, in the frame of the sheet.
 
-    What is beside the sheet, and what is not above it by more than the noise of its own depths, is cut away; the side on
-    which the object stands is closed by a plane at that height.
+    What is beside the sheet, and what is not above it by more than the noise of its own depths, is cut away; the side
+    on which the object stands is closed by a plane at that height.
 
     Args:
         dataset: the views; the object does not move on the sheet.

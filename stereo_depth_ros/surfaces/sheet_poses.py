@@ -82,8 +82,9 @@ def sheet_poses(images: Sequence[RangeImage], sheet: DotSheet, names: Sequence[s
     """The poses of range images that show dots of the same sheet, refined together.
 
     The dots of each view are found by :func:`find_dots`, identified in the plane that most of them lie on
-    (:func:`match_dots`), and give a first pose. Then all poses and positions of dots are refined together: least squared
-    distances of dots in the images, and of depths (bundle adjustment, Triggs and others 2000), weighted by Huber.
+    (:func:`match_dots`), and give a first pose. Then all poses and positions of dots are refined together: least
+    squared distances of dots in the images, and of depths (bundle adjustment, Triggs and others 2000), weighted by
+    Huber.
 
     Args:
         images: range images with color, of one object that does not move on the sheet.

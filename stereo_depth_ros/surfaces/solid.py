@@ -57,8 +57,8 @@ class Solid:
 class SolidVolume(SurfaceVolume):
     """A volume that fills a box from the beginning, so that all rays through it carve it.
 
-    What no ray has crossed counts as full, as Curless and Levoy 1996 (section 4) fill holes: the surface is that of what
-    was measured where it was, and elsewhere the border of what was seen to be empty. It is closed.
+    What no ray has crossed counts as full, as Curless and Levoy 1996 (section 4) fill holes: the surface is that of
+    what was measured where it was, and elsewhere the border of what was seen to be empty. It is closed.
 
     Args:
         voxel_m: distance of the grid points, meters.
