@@ -141,7 +141,7 @@ def reference_from_camera(values: dict[str, F64], camera: int) -> Pose:
         BagError: the calibration lacks this camera, or its matrix is incomplete.
     """
     try:
-        P = projection_of(values, camera)
+        P = _projection(values, camera)
     except KeyError as error:
         raise _lacks(values, error) from error
     t_z = P[2, 3]

@@ -19,6 +19,15 @@ from stereo_depth_ros.bags.sources import bag_files, is_bag
 from stereo_depth_ros.camera_files.urls import camera_info_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo, camera_info_values
 from stereo_depth_ros.cli.export import add_files
+from stereo_depth_ros.cli.fuse_views import (
+    OBJECT_VOXEL_M,
+    DepthSigma,
+    DepthUnit,
+    Intrinsics,
+    Marks,
+    fuse_marked,
+    open_views,
+)
 from stereo_depth_ros.cli.given import given_parameters, refuse_ignored, require_png
 from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import (
@@ -40,11 +49,13 @@ from stereo_depth_ros.cli.tables import TextTable, facts_table
 from stereo_depth_ros.config.values import pipeline_config
 from stereo_depth_ros.core.errors import ConfigError, TopicError
 from stereo_depth_ros.datasets.posed import open_posed
+from stereo_depth_ros.datasets.rgbd import is_rgbd
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.messages.motion import TREE_TYPE
 from stereo_depth_ros.offline.camera_poses import CameraPoses, poses_of_file, poses_of_topic
 from stereo_depth_ros.offline.fuse import FuseReport, fuse_sequence, no_surface_error
 from stereo_depth_ros.offline.provenance import provenance
+from stereo_depth_ros.offline.range_views import DEPTH_SIGMA_M, RangeSequence
 from stereo_depth_ros.offline.refinement import PoseRefinement
 from stereo_depth_ros.offline.sequence import BagSequence, DatasetSequence, Sequence
 from stereo_depth_ros.plots.drawing import save_png
@@ -57,6 +68,10 @@ __all__ = ["app"]
 app = new_app()
 
 _STAGES = ("pairing", "camera_info", "matching", "rectification")
+_VOXEL_M = 0.02
+_OF_VIEWS = ("marks", "intrinsics", "depth_unit", "depth_sigma")
+_OF_PAIRS = ("pose_frame", "matcher", "param", "params_file", "side_by_side")
+_OF_POSES = ("poses", "refine", "max_gap", "max_depth", "every", "min_piece", "fill")
 _OF_BAGS = ("start", "duration", "left", "right", "world_frame")
 
 
@@ -67,7 +82,8 @@ def fuse(
         Path,
         typer.Argument(
             metavar="BAG|DIR",
-            help="Read this bag, a sequence of KITTI or EuRoC, or a folder of images and calibration.",
+            help="Read this bag, a sequence of KITTI or EuRoC, a folder of images and calibration, or one of color and "
+            "depth images (plainly numbered, or of the TUM benchmark).",
         ),
     ],
     output: Annotated[
@@ -98,11 +114,21 @@ def fuse(
         str | None,
         typer.Option(metavar="NAME", help="Fuse in this frame of a topic of transforms; their root by default."),
     ] = None,
+    marks: Marks = None,
+    intrinsics: Intrinsics = None,
+    depth_unit: DepthUnit = None,
+    depth_sigma: DepthSigma = DEPTH_SIGMA_M,
     max_gap: Annotated[
         float,
         typer.Option(min=0, metavar="SECONDS", help="Interpolate between two poses that are not farther apart."),
     ] = 0.5,
-    voxel: Annotated[float, typer.Option(metavar="METERS", help="Set the distance of the grid points.")] = 0.02,
+    voxel: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METERS",
+            help=f"Set the distance of the grid points; {_VOXEL_M:g} by default, with --marks {OBJECT_VOXEL_M:g}.",
+        ),
+    ] = None,
     max_depth: Annotated[
         float, typer.Option(min=0, metavar="METERS", help="Leave out depth beyond it; 0 leaves out nothing.")
     ] = 0.0,
@@ -153,10 +179,22 @@ def fuse(
         refuse_ignored(context, _OF_BAGS, "with a folder", "leave it out")
     check_ending(output, MESH_ENDS)
     require_png("--preview", preview)
+    views = None
+    if not of_bag and is_rgbd(place):
+        refuse_ignored(context, _OF_PAIRS, "with color and depth images", "leave it out")
+        views = open_views(place, camera_info or (), intrinsics, depth_unit, depth_sigma)
+    else:
+        refuse_ignored(context, _OF_VIEWS, "without color and depth images", "leave it out")
+    if views is not None and marks is not None:
+        refuse_ignored(context, _OF_POSES, "with --marks", "leave it out")
+        voxel_m, paths = OBJECT_VOXEL_M if voxel is None else voxel, (output, preview, json_file)
+        fuse_marked(views, marks, voxel_m, depth_sigma, memory * 2**20, paths, overwrite=overwrite)
+        return
     file = read_parameters(params_file)
     given = given_parameters(param or (), matcher, file=file, stages=_STAGES, names=("disparity_sigma_px",))
     values = {**file, **given, **camera_info_values(camera_info if of_bag else None, given)}
-    config, volume = pipeline_config(values), SurfaceVolume(voxel, most_bytes=memory * 2**20)
+    config = pipeline_config(values)
+    volume = SurfaceVolume(_VOXEL_M if voxel is None else voxel, most_bytes=memory * 2**20)
     max_gap_ns = round(1e9 * max_gap)
     if of_bag:
         urls = config.camera_info
@@ -166,11 +204,19 @@ def fuse(
         prepare_kernels(config.matching)
         selection = BagSelection(place, left, right, start, duration, side_by_side, files)
         sequence: Sequence = BagSequence(selection, config)
+    elif views is not None:
+        chosen = views.poses if poses is None else Path(poses)
+        if chosen is None:
+            raise _no_poses(place, "give one, or the image of a sheet of dots", ("poses", "marks"))
+        known = poses_of_file(chosen, max_gap_ns)
+        sequence = RangeSequence(views, depth_sigma)
+        _check(output, preview, json_file, overwrite, [*sequence.files, *known.files], params_file, values)
+        prepare_kernels()
     else:
         posed = open_posed(place, camera_info or (), side_by_side=side_by_side)
         chosen = posed.poses if poses is None else Path(poses)
         if chosen is None:
-            raise ConfigError("has no file of poses of its own", subject=str(place), remedy="give one by --poses FILE")
+            raise _no_poses(place, "give one", ("poses",))
         known = poses_of_file(chosen, max_gap_ns, pose_frame, posed)
         sequence = DatasetSequence(posed, config)
         _check(output, preview, json_file, overwrite, [*sequence.files, *known.files], params_file, values)
@@ -196,6 +242,10 @@ def fuse(
     if report.skipped:
         tell(f"error: {report.skipped} pairs skipped: see the warnings above")
         raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def _no_poses(place: Path, remedy: str, settings: tuple[str, ...]) -> ConfigError:
+    return ConfigError("has no file of poses of its own", subject=str(place), remedy=remedy, settings=settings)
 
 
 def _check(

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from stereo_depth_ros.core.text_files import read_text
 from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.datasets.image_files import IMAGE_SUFFIXES, image_size, read_image, read_level_image
 
-__all__ = ["RgbdDataset", "RgbdFrame", "is_rgbd"]
+__all__ = ["RgbdDataset", "RgbdFrame", "is_rgbd", "rgbd_size"]
 
 _COLOR, _DEPTH = ("rgb", "color"), ("depth",)
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
@@ -34,14 +33,12 @@ class RgbdFrame:
     """One view.
 
     Attributes:
-        number: of the frame in its folder, from 0.
         stamp_ns: of the color image, integer nanoseconds; 0 without times.
         name: of the color image.
         color: uint8 (H, W) gray or (H, W, 3) RGB, without lens distortion.
         depth_m: float32 (H, W), Z of each pixel of the color image, meters; NaN where there is none.
     """
 
-    number: int
     stamp_ns: int
     name: str
     color: U8
@@ -75,12 +72,8 @@ class RgbdDataset:
 
     def __init__(self, folder: Path, camera: CameraModel, depth_unit_m: float | None = None) -> None:
         found = _found(folder)
-        if found is None or not found.pairs:
-            raise BagError(
-                "holds no color images with depth images",
-                subject=str(folder),
-                remedy="name them rgb_0.png and depth_0.png, or put them into rgb/ and depth/ under equal numbers",
-            )
+        if not found.pairs:
+            raise _nothing(folder)
         self._pairs, self.skipped, self.has_stamps = found.pairs, found.skipped, found.has_stamps
         self._unit_m = depth_unit_m or (_TUM_UNIT_M if found.has_stamps else _UNIT_M)
         first = read_level_image(found.pairs[0][2], "a depth image")
@@ -104,11 +97,18 @@ class RgbdDataset:
     def __len__(self) -> int:
         return len(self._pairs)
 
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        for number, (stamp_ns, color, depth) in enumerate(self._pairs):
-            yield self._frame(number, stamp_ns, color, depth)
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Of the color images."""
+        return [stamp_ns for stamp_ns, _, _ in self._pairs]
 
-    def _frame(self, number: int, stamp_ns: int, color_path: Path, depth_path: Path) -> RgbdFrame:
+    def __getitem__(self, number: int) -> RgbdFrame:
+        """A frame.
+
+        Raises:
+            BagError: a file that cannot be read, or an image of another size or dtype.
+        """
+        stamp_ns, color_path, depth_path = self._pairs[number]
         color, levels = read_image(color_path), read_level_image(depth_path, "a depth image")
         for path, pixels in ((color_path, color), (depth_path, levels)):
             if pixels.shape[:2] != (self._raw.height, self._raw.width):
@@ -135,10 +135,10 @@ class RgbdDataset:
         depth_m = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(np.nan))
         if color.ndim == 3:
             color = np.ascontiguousarray(color[:, :, ::-1])
-        return RgbdFrame(number, stamp_ns, color_path.name, color, depth_m.astype(np.float32))
+        return RgbdFrame(stamp_ns, color_path.name, color, depth_m.astype(np.float32))
 
     def _undistorted(self, color: U8, depth_m: F32) -> tuple[U8, F32]:
-        """Both images without lens distortion; depths are those of nearest pixels: a mean of two is that of none."""
+        """Both without lens distortion; depths are those of the nearest pixels: a mean of two may be that of none."""
         model, size = self._raw, (self._raw.width, self._raw.height)
         K = self.camera.K
         if model.distortion_model == "equidistant":
@@ -151,13 +151,32 @@ class RgbdDataset:
         )
 
 
+def rgbd_size(folder: Path) -> tuple[int, int]:
+    """Width and height of the first color image, px.
+
+    Raises:
+        BagError: no color images with depth images, or one that cannot be read.
+    """
+    found = _found(folder)
+    if not found.pairs:
+        raise _nothing(folder)
+    return image_size(read_image(found.pairs[0][1]))
+
+
 def is_rgbd(folder: Path) -> bool:
     """Whether a folder holds color images with depth images."""
     try:
-        found = _found(folder) if folder.is_dir() else None
+        return folder.is_dir() and bool(_found(folder).pairs)
     except BagError:
         return True  # a table that is damaged; reading it tells why
-    return found is not None and bool(found.pairs)
+
+
+def _nothing(folder: Path) -> BagError:
+    return BagError(
+        "holds no color images with depth images",
+        subject=str(folder),
+        remedy="name them rgb_0.png and depth_0.png, or put them into rgb/ and depth/ under equal numbers",
+    )
 
 
 @dataclass(frozen=True)
@@ -170,7 +189,7 @@ class _Found:
     tables: tuple[Path, ...] = ()
 
 
-def _found(folder: Path) -> _Found | None:
+def _found(folder: Path) -> _Found:
     for name in _TABLES:
         if (folder / name).is_file():
             return _of_table(folder, folder / name)

@@ -45,14 +45,14 @@ class CameraPoses:
         self.text = text
         self.files = files
 
-    def at(self, number: int, stamp_ns: int, frame_id: str, rig: Rig) -> Pose | None:
-        """The pose for a pair; None where it is not known.
+    def at(self, number: int, stamp_ns: int, frame_id: str, rig: Rig | None) -> Pose | None:
+        """The pose for a pair, or without a rig for a camera without lens distortion; None where it is not known.
 
         Raises:
             TopicError: the frame of the image is not connected with that of the poses.
         """
         pose = self._lookup(number, stamp_ns, frame_id)
-        if pose is None or self._rectified:
+        if pose is None or self._rectified or rig is None:
             return pose
         return pose @ Pose(np.ascontiguousarray(rig.left.R.T), np.zeros(3))  # X_rectified = R X_raw
 

@@ -40,7 +40,7 @@ class FuseReport:
         skipped: pairs that could not be processed.
         used, too_far, uncertain, alone: pixels, as of :class:`IntegratedImage`.
         apart: median over the images of the mean difference from those before, in widths of the band; NaN of one image.
-        rig: of the last pair.
+        rig: of the last pair; None of a range camera.
         path_m: length of the way of the camera over the pairs that were fused, meters.
         up: float64 (3,), mean direction of the upper edge of the images in the world, of length 1 where there is one.
         origin_m: float64 (3,), what is subtracted from all coordinates, meters.
@@ -117,12 +117,12 @@ def fuse_sequence(
             continue
         report.pairs += 1
         try:
-            images, rig = pair.read()
-            pose = poses.at(pair.number, pair.stamp_ns, images.left.frame_id, rig)
+            view = pair.read()
+            pose = poses.at(pair.number, pair.stamp_ns, view.frame_id, view.rig)
             if pose is None:
                 report.without_pose += 1
                 continue
-            image = RangeImage.of(pair.compute(images, rig))
+            image = view.compute()
         except CameraOrderError:
             raise
         except StereoDepthError as error:
@@ -138,7 +138,7 @@ def fuse_sequence(
         done = _integrated(volume, image, pose, max_depth_m, (number + 1) / max(number + 1, len(sequence)))
         times_ms.append(1e3 * (time.perf_counter() - start))
         report.fused += 1
-        report.rig = rig
+        report.rig = view.rig
         for name in ("used", "too_far", "uncertain", "alone"):
             setattr(report, name, getattr(report, name) + getattr(done, name))
         if not math.isnan(done.apart):

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -18,12 +19,13 @@ from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.datasets.image_files import read_image
 from stereo_depth_ros.datasets.rgbd import RgbdDataset, RgbdFrame
 from stereo_depth_ros.geometry.robust import robust_sigma
+from stereo_depth_ros.offline.sequence import SequencePair, SequenceView
 from stereo_depth_ros.surfaces.marks import DotSheet
 from stereo_depth_ros.surfaces.range_image import RangeImage
 from stereo_depth_ros.surfaces.sheet_poses import SheetPoses, sheet_poses
 from stereo_depth_ros.surfaces.solid import Box, Solid, SolidVolume
 
-__all__ = ["DEPTH_SIGMA_M", "SheetReport", "fuse_on_sheet", "range_image", "read_sheet"]
+__all__ = ["DEPTH_SIGMA_M", "RangeSequence", "SheetReport", "fuse_on_sheet", "range_image", "read_sheet"]
 
 # At 1 m: disparities of 0.08 px, a baseline of 50 mm and a focal length of 420 px (a RealSense D435 at 848x480).
 DEPTH_SIGMA_M = 0.004
@@ -104,6 +106,48 @@ def range_image(frame: RgbdFrame, dataset: RgbdDataset, sigma_1m: float) -> Rang
     return RangeImage(frame.depth_m, sigma, geometry, frame.color)
 
 
+class RangeSequence:
+    """The views of a range camera, see :class:`Sequence`.
+
+    Args:
+        dataset: the views.
+        sigma_1m: standard deviation of the depth at 1 m, meters.
+    """
+
+    def __init__(self, dataset: RgbdDataset, sigma_1m: float = DEPTH_SIGMA_M) -> None:
+        self._dataset, self._sigma_1m = dataset, sigma_1m
+
+    @property
+    def files(self) -> list[Path]:
+        """All files that are read."""
+        return self._dataset.files
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence each."""
+        return without_partner(self._dataset)
+
+    @property
+    def fault(self) -> None:
+        """Pairs are not examined: there is one camera."""
+
+    def __len__(self) -> int:
+        return len(self._dataset)
+
+    def __iter__(self) -> Iterator[SequencePair]:
+        for number, stamp_ns in enumerate(self._dataset.stamps_ns):
+            yield SequencePair(number, stamp_ns, functools.partial(self._view, number))
+
+    def _view(self, number: int) -> SequenceView:
+        frame = self._dataset[number]
+        return SequenceView("", None, functools.partial(range_image, frame, self._dataset, self._sigma_1m))
+
+
+def without_partner(dataset: RgbdDataset) -> list[str]:
+    """A sentence about the images that have no partner; none where all have."""
+    return [f"{dataset.skipped} images have no partner, and are left out"] * bool(dataset.skipped)
+
+
 def fuse_on_sheet(
     dataset: RgbdDataset,
     sheet: DotSheet,
@@ -131,7 +175,7 @@ def fuse_on_sheet(
         ConfigError: the box above the sheet does not fit into the memory.
         BagError: a file that cannot be read.
     """
-    frames = [*dataset]
+    frames = [dataset[number] for number in range(len(dataset))]
     images = [range_image(frame, dataset, sigma_1m) for frame in frames]
     poses = sheet_poses(images, sheet, [frame.name for frame in frames])
     known = [images[view] for view in poses.views]
@@ -143,9 +187,7 @@ def fuse_on_sheet(
         aparts.append(volume.integrate(image, pose).apart)
     finite = [value for value in aparts if not math.isnan(value)]
     apart = float(np.mean(finite)) if finite else math.nan
-    warnings = [f"skipped, {error}" for error in poses.refused]
-    if dataset.skipped:
-        warnings.append(f"{dataset.skipped} images have no partner and are left out")
+    warnings = [*(f"skipped, {error}" for error in poses.refused), *without_partner(dataset)]
     report = SheetReport(len(images), len(known), poses, box, sheet_sigma, apart, warnings)
     return report, volume.solid()
 

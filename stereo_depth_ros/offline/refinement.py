@@ -17,11 +17,15 @@ from stereo_depth_ros.surfaces.volume import SurfaceVolume
 
 __all__ = ["PoseRefinement"]
 
+_BESIDE = 0.1  # of the size of an image, by which a vertex may lie beside it
+_FLOOR = 0.1  # of the standard deviation of a vertex, voxels: between grid points the surface is a chord
+
 
 class PoseRefinement:
     """Registers each image with the surface of a volume (frame to model, as Newcombe et al., KinectFusion, 2011).
 
-    An image starts at its given pose, moved as the last one was: errors that grow slowly stay small. Where the surfaces
+    An image starts from the refined pose of the last one, by the motion between both given poses: errors that grow
+    slowly stay small, and errors of single poses are not enlarged by the distance from the origin. Where the surfaces
     do not determine a motion or do not fit, the image keeps that start.
 
     Args:
@@ -33,27 +37,40 @@ class PoseRefinement:
 
     def __init__(self, volume: SurfaceVolume) -> None:
         self._volume = volume
-        self._correction = Pose.identity()
+        self._last: tuple[Pose, Pose] | None = None  # given and refined
         self._moved: list[tuple[float, float]] = []
         self.refined = self.kept = 0
 
     def __call__(self, image: RangeImage, pose: Pose) -> Pose:
         """The pose to use, world_from_camera, of an image that is not fused yet."""
-        if not self._volume.block_count:
-            return pose
-        mesh, start = self._volume.mesh(), self._correction @ pose
+        found = pose
+        if self._last is not None and self._volume.block_count:
+            given, refined = self._last
+            found = self._registered(image, refined @ given.inverse() @ pose, pose)
+        self._last = pose, found
+        return found
+
+    def _registered(self, image: RangeImage, start: Pose, given: Pose) -> Pose:
         try:
-            surface = OrientedPoints(mesh.points_m, mesh.normals, mesh.sigma_m)
-            found = register(OrientedImage.of(image), surface, start).pose
+            found = register(OrientedImage.of(image), self._surface(image, start), start).pose
         except RegistrationError:
             self.kept += 1
             return start
         self.refined += 1
-        self._correction = found @ pose.inverse()
-        cosine = (np.trace(found.rotation @ pose.rotation.T) - 1) / 2
+        cosine = (np.trace(found.rotation @ given.rotation.T) - 1) / 2
         angle_deg = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
-        self._moved.append((float(np.linalg.norm(found.translation_m - pose.translation_m)), angle_deg))
+        self._moved.append((float(np.linalg.norm(found.translation_m - given.translation_m)), angle_deg))
         return found
+
+    def _surface(self, image: RangeImage, start: Pose) -> OrientedPoints:
+        """The vertices that the image may show from about this pose."""
+        mesh, t, (width, height) = self._volume.mesh(), image.triangulation, image.size
+        x, y, z = start.inverse().apply(mesh.points_m.astype(np.float64)).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = t.f_px * x / z + t.cx_px, t.fy_px * y / z + t.cy_px
+        seen = (z > 0) & (np.abs(u / width - 0.5) < 0.5 + _BESIDE) & (np.abs(v / height - 0.5) < 0.5 + _BESIDE)
+        sigma = np.hypot(mesh.sigma_m[seen], np.float32(_FLOOR * self._volume.voxel_m))
+        return OrientedPoints(mesh.points_m[seen], mesh.normals[seen], sigma)
 
     @property
     def text(self) -> str:

@@ -25,8 +25,9 @@ from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
 from stereo_depth_ros.diagnosis.opening import no_pair_error, open_selection
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
+from stereo_depth_ros.surfaces.range_image import RangeImage
 
-__all__ = ["BagSequence", "DatasetSequence", "Sequence", "SequencePair"]
+__all__ = ["BagSequence", "DatasetSequence", "Sequence", "SequencePair", "SequenceView"]
 
 
 @dataclass(frozen=True)
@@ -36,14 +37,27 @@ class SequencePair:
     Attributes:
         number: of its frame, by which files without times have a row for it.
         stamp_ns: of the left image, integer nanoseconds.
-        read: the images and their rig.
-        compute: its depth; the argument is what ``read`` returned.
+        read: its images.
     """
 
     number: int
     stamp_ns: int
-    read: Callable[[], tuple[StereoPair, StereoRig]]
-    compute: Callable[[StereoPair, StereoRig], StereoResult]
+    read: Callable[[], SequenceView]
+
+
+@dataclass(frozen=True)
+class SequenceView:
+    """The images of a pair, or of a range camera.
+
+    Attributes:
+        frame_id: of the left image.
+        rig: of the pair; None where there is one camera, without lens distortion.
+        compute: its depth.
+    """
+
+    frame_id: str
+    rig: StereoRig | None
+    compute: Callable[[], RangeImage]
 
 
 class Sequence(Protocol):
@@ -146,17 +160,17 @@ class BagSequence:
         with BagPairs(self._selection, self._config.pairing) as pairs:
             image_type = pairs.topics.image_type
 
-            def reader(pair: SerializedPair) -> Callable[[], tuple[StereoPair, StereoRig]]:
-                def read() -> tuple[StereoPair, StereoRig]:
+            def reader(pair: SerializedPair) -> Callable[[], SequenceView]:
+                def read() -> SequenceView:
                     rig = rigs.of(pair, image_type)
-                    return pair.images(types, image_type, rig, depth), rig
+                    return _view(pair.images(types, image_type, rig, depth), rig, self._compute)
 
                 return read
 
             for pair in pairs.pairs():
                 is_empty = False
                 frame = bisect.bisect_left(self._stamps, pair.stamp_ns)
-                yield SequencePair(frame, pair.stamp_ns, reader(pair), self._compute)
+                yield SequencePair(frame, pair.stamp_ns, reader(pair))
             self._warnings += [*([pairs.warning] if pairs.warning else []), *pairs.losses]
             if is_empty:
                 raise no_pair_error(pairs, self._selection.path, [])
@@ -204,9 +218,9 @@ class DatasetSequence:
         rig = self._posed.dataset.rig
         for number, frame in zip(self._posed.numbers, self._posed.dataset, strict=True):
             pair = StereoPair(frame.left, frame.right)
-            read = functools.partial(_given, pair, rig)
-            yield SequencePair(number, frame.left.stamp_ns, read, self._pipelines.compute)
+            read = functools.partial(_view, pair, rig, self._pipelines.compute)
+            yield SequencePair(number, frame.left.stamp_ns, read)
 
 
-def _given(pair: StereoPair, rig: StereoRig) -> tuple[StereoPair, StereoRig]:
-    return pair, rig
+def _view(pair: StereoPair, rig: StereoRig, compute: Callable[[StereoPair, StereoRig], StereoResult]) -> SequenceView:
+    return SequenceView(pair.left.frame_id, rig, lambda: RangeImage.of(compute(pair, rig)))
