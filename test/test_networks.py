@@ -15,7 +15,9 @@ import pytest
 onnx = pytest.importorskip("onnx", reason="builds its networks with onnx")
 runtime = pytest.importorskip("onnxruntime", reason="runs its networks with onnxruntime")
 
+from command_line import CommandLine  # noqa: E402
 from onnx import TensorProto  # noqa: E402
+from stereo_bags import write_truth_bag  # noqa: E402
 from test_onnx import Network, assert_shift, block_matching, left_gray, matcher, shifted_pair  # noqa: E402
 
 from stereo_depth_ros.core.errors import ConfigError  # noqa: E402
@@ -340,3 +342,29 @@ def test_output_that_is_not_a_number(tmp_path: Path) -> None:
     onnx.save(loaded, model)
     with pytest.raises(ConfigError, match=r"has an output 'output' of bool: export it as float32"):
         matcher(model).match(*shifted_pair(51, 140, 6))
+
+
+def test_the_log_says_what_runs_the_network(tmp_path: Path, command_line: CommandLine) -> None:
+    """That of process."""
+    network = Network()
+    model = network.save(
+        tmp_path / "network.onnx", {"output": network.add("Mul", left_gray(network), network.constant(0.1))}
+    )
+    write_truth_bag(tmp_path / "in.mcap", 1)
+    run = command_line("process")
+    options = ["--matcher", "onnx", "--param", f"onnx_model:={model}", "--param", "disparity_range:=32"]
+    code, _, err = run(tmp_path / "in.mcap", "-o", tmp_path / "out.mcap", *options)
+    assert (code, "matcher onnx: cpu by ONNX Runtime" in err) == (0, True), err
+
+
+@pytest.mark.graph
+def test_the_log_of_a_node_says_what_runs_the_network(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy", reason="graph tests need ROS 2")
+    from graph_harness import Graph
+
+    from stereo_depth_ros.nodes.disparity_node import DisparityNode
+
+    network = Network()
+    model = network.save(tmp_path / "network.onnx", {"output": left_gray(network)})
+    with Graph(DisparityNode, parameters={"stereo_algorithm": 10, "onnx_model": model}) as graph:
+        assert "matcher onnx (cpu by ONNX Runtime)" in graph.nodes[0].readiness()[1]
