@@ -33,6 +33,7 @@ def _of_any(a: Any, b: Any, out: Any, numbers: npt.NDArray[np.uint64]) -> Any:
     v.store(out[9], AT, x)
     numbers[0], numbers[1] = v.equal(x, y), v.at_most(x, y)
     numbers[2], numbers[3] = v.first_lane(numbers[0]), v.bit_count(numbers[1])
+    numbers[4] = v.last_lane(numbers[0])
     return v.least_lane(x)
 
 
@@ -44,7 +45,7 @@ def test_operations(dtype: Any) -> None:
     x = a[AT:]
     b[[5, 9, lanes - 1]] = x[[5, 9, lanes - 1]]
     y = b[:lanes]
-    out, numbers = np.zeros((10, lanes + AT), dtype), np.zeros(4, np.uint64)
+    out, numbers = np.zeros((10, lanes + AT), dtype), np.zeros(5, np.uint64)
     least = _of_any(a, b, out, numbers)
     wide_x, wide_y = x.astype(int), y.astype(int)
     expected = [
@@ -64,7 +65,7 @@ def test_operations(dtype: Any) -> None:
     assert least == x.min()
     places = np.arange(lanes, dtype=np.uint64)
     masks = [np.bitwise_or.reduce((condition.astype(np.uint64)) << places) for condition in (x == y, x <= y)]
-    assert numbers.tolist() == [*masks, 5, int((x <= y).sum())]
+    assert numbers.tolist() == [*masks, 5, int((x <= y).sum()), lanes - 1]
 
 
 @numba.njit
@@ -89,9 +90,9 @@ def test_bytes_and_words() -> None:
 
 
 @numba.njit
-def _no_lane() -> int:
-    return v.first_lane(np.uint64(0))
+def _no_lane() -> tuple[int, int]:
+    return v.first_lane(np.uint64(0)), v.last_lane(np.uint64(0))
 
 
 def test_no_bit_has_no_place() -> None:
-    assert _no_lane() == 64
+    assert _no_lane() == (64, -1)

@@ -22,6 +22,7 @@ __all__ = [
     "even_words",
     "first_lane",
     "join_words",
+    "last_lane",
     "least_lane",
     "load",
     "maximum",
@@ -248,6 +249,18 @@ def first_lane(_context: Any, bits: Any) -> Any:
 
     def generate(_target: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 0))
+
+    return types.int64(bits), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def last_lane(_context: Any, bits: Any) -> Any:
+    """The place of the highest set bit of a uint64, -1 if there is none."""
+    if bits != types.uint64:
+        return None
+
+    def generate(_target: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.sub(ir.Constant(ir.IntType(64), 63), builder.ctlz(arguments[0], ir.Constant(ir.IntType(1), 0)))
 
     return types.int64(bits), generate
 

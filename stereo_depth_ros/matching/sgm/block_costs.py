@@ -165,14 +165,22 @@ def _next_sums(costs: U8, enters_at: int, leaves_at: int, k: int, sums: U16) -> 
 
 
 @compiled(allocates=False)
-def move_windows(enters: U8, leaves: U8, new: bool, radius: int, sums: U16, before: I16, total: I16) -> None:
-    """Sums over the windows of an image row from those of the row before.
+def _replace(total: Any, plus: Any, minus: Any, plus_first: bool) -> Any:
+    if plus_first:
+        return subtract_saturated(add_saturated(total, plus), minus)
+    return add_saturated(subtract_saturated(total, minus), plus)
 
-    They saturate as OpenCV's do: what leaves is subtracted first, except in the first column if the row is new.
+
+@compiled(allocates=False)
+def move_windows(
+    enters: U8, leaves: U8, new: bool, plus_first: bool, radius: int, sums: U16, before: I16, total: I16
+) -> None:
+    """Sums over the windows of an image row from those of the row before; they saturate as OpenCV's do.
 
     Args:
         enters, leaves: uint8 (N K,), costs of the row that enters the windows and of the one that leaves them.
-        new: whether the row enters for the first time.
+        new: whether the row enters for the first time; then the first column adds it before the other is subtracted.
+        plus_first: whether all columns always do so.
         radius: of the window.
         sums: uint16 (2, K), scratch.
         before, total: int16 (N K,), sums over the windows of the previous row, and of this one, written; may be one
@@ -183,11 +191,8 @@ def move_windows(enters: U8, leaves: U8, new: bool, radius: int, sums: U16, befo
     for side in range(2):
         _first_sums(leaves if side else enters, radius, sums[side])
     for k in range(0, count, WORDS):
-        first, plus, minus = load(before, k), signed(load(entering, k)), signed(load(leaving, k))
-        if new:
-            store(total, k, subtract_saturated(add_saturated(first, plus), minus))
-        else:
-            store(total, k, add_saturated(subtract_saturated(first, minus), plus))
+        plus, minus = signed(load(entering, k)), signed(load(leaving, k))
+        store(total, k, _replace(load(before, k), plus, minus, new or plus_first))
     for at in range(count, enters.size, count):
         enters_at = min(at + radius * count, enters.size - count)
         leaves_at = max(at - (radius + 1) * count, 0)
@@ -195,5 +200,5 @@ def move_windows(enters: U8, leaves: U8, new: bool, radius: int, sums: U16, befo
             even_in, odd_in = _next_sums(enters, enters_at + k, leaves_at + k, k, entering)
             even_out, odd_out = _next_sums(leaves, enters_at + k, leaves_at + k, k, leaving)
             even, odd = load(before, at + k), load(before, at + k + WORDS)
-            store(total, at + k, add_saturated(subtract_saturated(even, even_out), even_in))
-            store(total, at + k + WORDS, add_saturated(subtract_saturated(odd, odd_out), odd_in))
+            store(total, at + k, _replace(even, even_in, even_out, plus_first))
+            store(total, at + k + WORDS, _replace(odd, odd_in, odd_out, plus_first))

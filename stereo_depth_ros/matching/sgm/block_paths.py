@@ -33,6 +33,7 @@ from stereo_depth_ros.core.vectors import (
     bit_count,
     equal,
     first_lane,
+    last_lane,
     least_lane,
     load,
     maximum,
@@ -58,6 +59,8 @@ _LEAST = np.int16(-(2**15))
 _ZERO = np.int16(0)
 _STEPS = 16  # per px
 _NOWHERE = 1 << 20
+_OPENCV_LANES = 8
+_EVERY_FOURTH = np.uint64(0x11111111)  # bits of the even or odd disparities of a lane
 
 
 class BlockSearch(NamedTuple):
@@ -72,7 +75,7 @@ class BlockSearch(NamedTuple):
     P2: np.int16
     uniqueness: int  # percent
     tolerance: int  # of the left-right check, px
-    both_ways: bool  # eight directions
+    directions: int  # 3 or 5, the last one from the right, or 8
 
 
 class BlockScratch(NamedTuple):
@@ -103,7 +106,7 @@ class BlockScratch(NamedTuple):
         count = padded_count(search.num_disparities)
         columns = width + min(0, search.min_disparity) - search.begin
         row = columns * count
-        rows = height if search.both_ways else 1
+        rows = height if search.directions == 8 else 1
         index = np.arange(count)
         disparity = index // BYTES * BYTES + index % WORDS * 2 + index % BYTES // WORDS
         return cls(
@@ -234,9 +237,48 @@ def _sum_paths(t: int, back: bool, search: BlockSearch, s: BlockScratch, windows
 
 
 @compiled(allocates=False)
-def _finish_sums(search: BlockSearch, s: BlockScratch, windows: I16, totals: I16) -> None:
-    """Add the path from the right, unless the paths had both ways, and find the lowest sum of each pixel of a row."""
+def _sum_two_paths(search: BlockSearch, s: BlockScratch, windows: I16, totals: I16) -> None:
+    """The path from the left, as the first part of the sums, and the one straight from the row before."""
     count, width = s.along.size, s.lowest.size
+    padded = count > search.num_disparities
+    along, straight = s.along, s.above[1]
+    top, P1, P2 = repeat(LARGEST), repeat(search.P1), repeat(search.P2)
+    along[:] = 0
+    least = _ZERO
+    for x in range(width):
+        at = x * count
+        delta, delta_straight = add_saturated(repeat(least), P2), add_saturated(repeat(s.least[1, x]), P2)
+        low, low_straight, before, before_straight = top, top, top, top
+        even, even_straight = load(along, 0), load(straight, at)
+        for k in range(0, count, BYTES):
+            last = k + BYTES == count
+            c_even, c_odd = load(windows, at + k), load(windows, at + k + WORDS)
+            e0, o0, before, even = _step(along, k, last, even, before, delta, P1, c_even, c_odd)
+            e2, o2, before_straight, even_straight = _step(
+                straight, at + k, last, even_straight, before_straight, delta_straight, P1, c_even, c_odd
+            )
+            if padded and last:
+                e, o = load(s.unused, k), load(s.unused, k + WORDS)
+                e0, o0, e2, o2 = maximum(e0, e), maximum(o0, o), maximum(e2, e), maximum(o2, o)
+            store(along, k, e0)
+            store(along, k + WORDS, o0)
+            store(straight, at + k, e2)
+            store(straight, at + k + WORDS, o2)
+            store(totals, at + k, e0)
+            store(totals, at + k + WORDS, o0)
+            low, low_straight = minimum(low, minimum(e0, o0)), minimum(low_straight, minimum(e2, o2))
+        least = least_lane(low)
+        s.least[1, x] = least_lane(low_straight)
+
+
+@compiled(allocates=False)
+def _finish_sums(search: BlockSearch, s: BlockScratch, windows: I16, totals: I16) -> None:
+    """Add the path from the right, unless it is there, and find the lowest sum of each pixel of a row.
+
+    Of three directions, the one straight from the row before is added here too.
+    """
+    count, width = s.along.size, s.lowest.size
+    three, straight = search.directions == 3, s.above[1]
     padded = count > search.num_disparities
     along = s.along
     along[:] = 0
@@ -245,12 +287,12 @@ def _finish_sums(search: BlockSearch, s: BlockScratch, windows: I16, totals: I16
     for i in range(width):
         x = width - 1 - i
         at = x * count
-        delta = add(repeat(least), P2)
+        delta = add_saturated(repeat(least), P2) if three else add(repeat(least), P2)
         low, lowest, before = top, top, top
         even = load(along, 0)
         for k in range(0, count, BYTES):
             t_even, t_odd = load(totals, at + k), load(totals, at + k + WORDS)
-            if not search.both_ways:
+            if search.directions != 8:
                 last = k + BYTES == count
                 c_even, c_odd = load(windows, at + k), load(windows, at + k + WORDS)
                 e, o, before, even = _step(along, k, last, even, before, delta, P1, c_even, c_odd)
@@ -260,6 +302,9 @@ def _finish_sums(search: BlockSearch, s: BlockScratch, windows: I16, totals: I16
                 store(along, k + WORDS, o)
                 low = minimum(low, minimum(e, o))
                 t_even, t_odd = add_saturated(t_even, e), add_saturated(t_odd, o)
+                if three:
+                    t_even = add_saturated(t_even, load(straight, at + k))
+                    t_odd = add_saturated(t_odd, load(straight, at + k + WORDS))
                 store(totals, at + k, t_even)
                 store(totals, at + k + WORDS, t_odd)
             lowest = minimum(lowest, minimum(t_even, t_odd))
@@ -286,28 +331,63 @@ def _set_limits(uniqueness: int, lowest: I16, limits: I16) -> None:
 
 
 @compiled(allocates=False)
+def _set_limits_of_three(uniqueness: int, lowest: I16, limits: I16) -> None:
+    """As :func:`_set_limits`, but S <= 100 lowest / (100 - uniqueness), whose next integer wraps around in 16 bits."""
+    share = np.float32(100 - uniqueness)
+    for x in range(lowest.size):
+        ratio = np.int32(np.float32(100) * np.float32(lowest[x]) / share)  # exact, rounded to 0
+        above = np.int32(np.int16(np.int32(ratio + np.int32(1))))
+        limits[x] = np.int16(max(np.int32(above - np.int32(1)), np.int32(_LEAST))) if uniqueness > 0 else _LEAST
+
+
+@compiled(allocates=False)
 def _place(d: int) -> int:
     """Index of a disparity among the sums of a pixel."""
     return (d & -BYTES) + (d & 1) * WORDS + ((d & (BYTES - 1)) >> 1)
 
 
 @compiled(allocates=False)
+def _take_of_equals(totals: I16, at: int, least: np.int16, search: BlockSearch, count: int) -> int:
+    """Which of several lowest sums OpenCV takes of three directions: d mod 8 are lanes, of each it keeps the last."""
+    if least == LARGEST:
+        return search.num_disparities - _OPENCV_LANES
+    lowest = repeat(least)
+    best = _NOWHERE
+    for odd in range(2):
+        seen = np.uint64(0)
+        for j in range(0, count, BYTES):
+            k = count - BYTES - j
+            bits = equal(load(totals, at + k + odd * WORDS), lowest) & ~seen
+            while bits:
+                lane = last_lane(bits)
+                lanes = _EVERY_FOURTH << np.uint64(lane & 3)
+                seen |= lanes
+                bits &= ~lanes
+                best = min(best, k + 2 * lane + odd)
+    return best
+
+
+@compiled(allocates=False)
 def _find_winners(search: BlockSearch, s: BlockScratch, totals: I16) -> None:
     """Of each pixel of a row the first disparity with the lowest sum, its neighbors, and whether no other is as near.
 
-    Without branches, which a processor could not predict.
+    Nearly without branches, which a processor could not predict.
     """
-    count, end = s.along.size, search.num_disparities - 1
+    count, end, three = s.along.size, search.num_disparities - 1, search.directions == 3
     for x in range(s.lowest.size):
         at = x * count
         lowest, limits = repeat(s.lowest[x]), repeat(s.limits[x])
-        d, near = _NOWHERE, 0
+        d, near, equals = _NOWHERE, 0, 0
         for k in range(0, count, BYTES):
             t_even, t_odd = load(totals, at + k), load(totals, at + k + WORDS)
-            even, odd = first_lane(equal(t_even, lowest)), first_lane(equal(t_odd, lowest))
+            even_bits, odd_bits = equal(t_even, lowest), equal(t_odd, lowest)
+            even, odd = first_lane(even_bits), first_lane(odd_bits)
             nowhere = ((even & odd) >> 6) * _NOWHERE  # at 64
             d = min(d, k + min(2 * even, 2 * odd + 1) + nowhere)
             near += bit_count(at_most(t_even, limits)) + bit_count(at_most(t_odd, limits))
+            equals += bit_count(even_bits) + bit_count(odd_bits)
+        if three and equals > 1:
+            d = _take_of_equals(totals, at, s.lowest[x], search, count)
         before, after = totals[at + _place(max(d - 1, 0))], totals[at + _place(min(d + 1, end))]
         limit = s.limits[x]
         own = int(s.lowest[x] <= limit) + int(d > 0) * int(before <= limit) + int(d < end) * int(after <= limit)
@@ -369,29 +449,30 @@ def _check_left_right(search: BlockSearch, s: BlockScratch, disparity: I16) -> N
 
 
 @compiled(allocates=False)
-def _sum_windows(left: U8, right: U8, y: int, known: int, search: BlockSearch, s: BlockScratch) -> int:
+def _sum_windows(left: U8, right: U8, y: int, top: int, known: int, search: BlockSearch, s: BlockScratch) -> int:
     """Sums over the windows of image row ``y``, after those of the row before.
 
     Args:
-        known: number of image rows with costs; the new number is returned.
+        top: the first row, which windows repeat.
+        known: the first row that has no costs yet; the new one is returned.
     """
     height, ring, r = len(left), len(s.pixels) - 1, search.radius
-    total, before = s.windows[y % len(s.windows)], s.windows[max(y - 1, 0) % len(s.windows)]
-    if y == 0:
+    total, before = s.windows[y % len(s.windows)], s.windows[max(y - 1, top) % len(s.windows)]
+    if y == top:
         total[:] = search.P2
-    for k in range(y + r if y else -r, y + r + 1):  # rows that enter
-        row = min(max(k, 0), height - 1)
-        costs, leaves = s.pixels[row % ring], s.pixels[max(y - r - 1, 0) % ring if y else ring]
+    for k in range(y + r if y > top else top - r, y + r + 1):  # rows that enter
+        row = min(max(k, top), height - 1)
+        costs, leaves = s.pixels[row % ring], s.pixels[max(y - r - 1, top) % ring if y > top else ring]
         new = row == known
         if new:
             feature_rows(left, right, row, search.cap, s.own, s.features)
             pixel_costs(s.features, search.begin, search.min_disparity, s.along.size, costs)
             known += 1
-        move_windows(costs, leaves, new, r, s.sums, before, total)
+        move_windows(costs, leaves, new, search.directions == 3, r, s.sums, before, total)
     return known
 
 
-_SEARCH = numba.types.NamedTuple([int64] * 5 + [int16, int16, int64, int64, numba.boolean], BlockSearch)
+_SEARCH = numba.types.NamedTuple([int64] * 5 + [int16, int16, int64, int64, int64], BlockSearch)
 _SCRATCH = numba.types.NamedTuple(
     [
         *(uint8[::1], uint8[:, :, ::1], uint8[:, ::1], uint16[:, ::1], int16[:, ::1], int16[:, ::1]),
@@ -402,26 +483,51 @@ _SCRATCH = numba.types.NamedTuple(
 )
 
 
-@compiled(numba.void(READ_ONLY_U8, READ_ONLY_U8, _SEARCH, _SCRATCH, int16[:, ::1]), allocates=False)
-def match_blocks(left: U8, right: U8, search: BlockSearch, scratch: BlockScratch, disparity_x16: I16) -> None:
-    """Disparities in 1/16 px, int16 (H, W); ``16 (min_disparity - 1)`` where there is none."""
+@compiled(
+    numba.void(int64, int64, int64, READ_ONLY_U8, READ_ONLY_U8, _SEARCH, _SCRATCH, int16[:, ::1]), allocates=False
+)
+def match_blocks(
+    top: int,
+    first: int,
+    last: int,
+    left: U8,
+    right: U8,
+    search: BlockSearch,
+    scratch: BlockScratch,
+    disparity_x16: I16,
+) -> None:
+    """Disparities of image rows ``first`` to ``last``, last exclusive, of paths and windows that begin at row ``top``.
+
+    Args:
+        top, first, last: with eight directions, all rows.
+        left, right: uint8 (H, W).
+        search: the parameters.
+        scratch: of a size with the images.
+        disparity_x16: int16 (H, W), in 1/16 px, receives in these rows ``16 (min_disparity - 1)`` where there is none.
+    """
     s = scratch
-    height, known = len(left), 0
+    known, ways = top, 2 if search.directions == 8 else 1
     if s.lowest.size == 0:
-        disparity_x16[:] = np.int16((search.min_disparity - 1) * _STEPS)
+        disparity_x16[first:last] = np.int16((search.min_disparity - 1) * _STEPS)
         return
-    for back in range(1 + search.both_ways):
+    for back in range(ways):
         s.above[:] = 0
         s.least[:] = 0
-        for t in range(height):
-            y = height - 1 - t if back else t
+        for t in range(last - top):
+            y = last - 1 - t if back else top + t
             windows, totals = s.windows[y % len(s.windows)], s.totals[y % len(s.totals)]
             if not back:
-                known = _sum_windows(left, right, y, known, search, s)
-            _sum_paths(t, back > 0, search, s, windows, totals)
-            if back or not search.both_ways:
+                known = _sum_windows(left, right, y, top, known, search, s)
+            if search.directions == 3:
+                _sum_two_paths(search, s, windows, totals)
+            else:
+                _sum_paths(t, back > 0, search, s, windows, totals)
+            if back == ways - 1 and y >= first:
                 _finish_sums(search, s, windows, totals)
-                _set_limits(search.uniqueness, s.lowest, s.limits)
+                if search.directions == 3:
+                    _set_limits_of_three(search.uniqueness, s.lowest, s.limits)
+                else:
+                    _set_limits(search.uniqueness, s.lowest, s.limits)
                 _find_winners(search, s, totals)
                 _set_right(search, s)
                 _set_disparities(search, s, disparity_x16[y])

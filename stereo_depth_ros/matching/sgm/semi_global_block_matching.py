@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -24,13 +26,17 @@ from stereo_depth_ros.matching.sgm.block_paths import BlockScratch, BlockSearch,
 
 __all__ = ["SemiGlobalBlockMatcher", "penalties"]
 
+Stripe: TypeAlias = tuple[int, int, int]  # rows: where its paths begin, first, last exclusive
+
 MODES = (
     cv2.STEREO_SGBM_MODE_SGBM,
     cv2.STEREO_SGBM_MODE_HH,
     cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     cv2.STEREO_SGBM_MODE_HH4,
 )
-OWN_MODES = (0, 1)
+DIRECTIONS = {0: 5, 1: 8, 2: 3}  # of the modes that are not left to OpenCV
+WHOLE_MODES = (0, 1)
+STRIPES = 4  # of mode 2
 MEDIAN_PX = 3  # of the filter that follows
 LEAST_CAP = 15  # of OpenCV, and an odd one
 LARGEST_TOTAL = 2**15 - 1  # OpenCV sums in 16 bits
@@ -41,12 +47,13 @@ NO_MATCH = int(Reason.NO_MATCH)
 class SemiGlobalBlockMatcher(SerialMatcher):
     """``cv2.StereoSGBM`` (Hirschmueller 2008, with block costs of Birchfield and Tomasi 1998).
 
-    Modes 0 and 1 (SGBM, HH) are kernels of this package with the same disparities, see
-    :mod:`stereo_depth_ros.matching.sgm.block_paths`; modes 2 and 3 (3WAY, HH4) are computed by OpenCV. The whole image
-    is processed in one thread, as paths cross all rows. Fractions of ``uniqueness_ratio``, ``P1`` and ``P2`` are cut
-    off, see :func:`penalties`; ``disp12_max_diff`` 0 means 1 px, as in OpenCV. As OpenCV, it does not tell why a pixel
-    is rejected: NO_MATCH, or BORDER where the search leaves the right image. The speckle filter of this package gives
-    the result of OpenCV and the reason SPECKLE.
+    Modes 0 to 2 (SGBM, HH, 3WAY) are computed by :mod:`stereo_depth_ros.matching.sgm.block_paths`, with the disparities
+    of OpenCV bit for bit; mode 3 (HH4), and mode 2 of images so low that OpenCV mistakes their rows, by OpenCV. Modes 0
+    and 1 process the whole image in one thread, as paths cross all rows; mode 2 has four stripes, as in OpenCV.
+
+    Fractions of ``uniqueness_ratio``, ``P1`` and ``P2`` are cut off, see :func:`penalties`; ``disp12_max_diff`` 0 means
+    1 px, as in OpenCV. As OpenCV, it does not tell why a pixel is rejected: NO_MATCH, or BORDER where the search leaves
+    the right image. The speckle filter of this package gives the result of OpenCV and the reason SPECKLE.
 
     ``support_px`` is the window; the Sobel prefilter and the interpolation of the pixel costs read a little more.
     """
@@ -74,7 +81,8 @@ class SemiGlobalBlockMatcher(SerialMatcher):
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * X16_STEPS)
         self._disparity_x16: I16 = np.empty((0, 0), np.int16)
         self._search = _search(config, P1, P2)
-        self._own = config.sgbm_mode in OWN_MODES
+        self._stripes: list[Stripe] = []
+        self._scratch: list[BlockScratch] = []
         self._sgbm = cv2.StereoSGBM.create(
             minDisparity=config.min_disparity,
             numDisparities=config.num_disparities,
@@ -95,11 +103,9 @@ class SemiGlobalBlockMatcher(SerialMatcher):
         disparity_px = np.empty(left.shape, np.float32)
         reasons = np.empty(left.shape, np.uint8)
         if self._disparity_x16.shape != left.shape:
-            self._disparity_x16 = np.empty(left.shape, np.int16)
-            if self._own:
-                self._scratch = BlockScratch.allocate(len(left), left.shape[1], self._search)
-        if self._own:
-            match_blocks(left, right, self._search, self._scratch, self._disparity_x16)
+            self._allocate(*left.shape)
+        if self._stripes:
+            run_bands(self._match_stripes, len(self._stripes), left, right, min_rows=1)
             cv2.medianBlur(self._disparity_x16, MEDIAN_PX, self._disparity_x16)
         else:
             self._sgbm.compute(left, right, self._disparity_x16)
@@ -109,6 +115,15 @@ class SemiGlobalBlockMatcher(SerialMatcher):
         self._speckle_filter(self._disparity_x16, reasons)
         disparity_from_x16(self._disparity_x16, reasons, disparity_px)
         return MatchResult(disparity_px, reasons, self.step_px, functools.partial(local_consistency, disparity_px))
+
+    def _allocate(self, height: int, width: int) -> None:
+        self._disparity_x16 = np.empty((height, width), np.int16)
+        self._stripes = _stripes(self.config, height)
+        self._scratch = [BlockScratch.allocate(height, width, self._search) for _ in self._stripes]
+
+    def _match_stripes(self, first: int, last: int, left: U8, right: U8) -> None:
+        for stripe, scratch in zip(self._stripes[first:last], self._scratch[first:last], strict=True):
+            match_blocks(*stripe, left, right, self._search, scratch, self._disparity_x16)
 
 
 def penalties(config: MatchingConfig) -> tuple[int, int]:
@@ -123,6 +138,18 @@ def penalties(config: MatchingConfig) -> tuple[int, int]:
     return P1, P2 or max(min(32 * area, room), P1 + 1)
 
 
+def _stripes(config: MatchingConfig, height: int) -> list[Stripe]:
+    """The rows that are matched apart; none where OpenCV matches them."""
+    if config.sgbm_mode in WHOLE_MODES:
+        return [(0, 0, height)]
+    rows = -(-height // STRIPES)
+    above = config.correlation_window_size // 2 + 1 + math.ceil(0.1 * rows)  # where paths and windows begin
+    if config.sgbm_mode not in DIRECTIONS or rows < above:  # OpenCV then mistakes the rows of a stripe
+        return []
+    edges = [min(n * rows, height) for n in range(STRIPES + 1)]
+    return [(max(first - above, 0), first, last) for first, last in itertools.pairwise(edges)]
+
+
 def _search(config: MatchingConfig, P1: int, P2: int) -> BlockSearch:
     P1 = P1 or 2  # as OpenCV does
     return BlockSearch(
@@ -135,7 +162,7 @@ def _search(config: MatchingConfig, P1: int, P2: int) -> BlockSearch:
         P2=np.int16(max(P2, P1 + 1)),
         uniqueness=int(config.uniqueness_ratio),
         tolerance=config.disp12_max_diff or 1,
-        both_ways=config.sgbm_mode == 1,
+        directions=DIRECTIONS.get(config.sgbm_mode, 0),
     )
 
 
