@@ -13,7 +13,7 @@ import pytest
 from range_messages import cloud, depth_image, laser_scan, xyz_cloud
 
 from stereo_depth_ros.core.camera import CameraModel
-from stereo_depth_ros.core.errors import MessageError
+from stereo_depth_ros.core.errors import CalibrationError, MessageError
 from stereo_depth_ros.messages.range_sensor import depth_pixels, range_points
 
 RNG = np.random.default_rng(4)
@@ -121,6 +121,18 @@ def test_clouds_that_contradict_themselves_are_refused(changed: dict[str, Any], 
     message = replace(xyz_cloud(POINTS), **changed)
     with pytest.raises(MessageError, match=f"^/points: .*{text}"):
         range_points(message, "/points")
+
+
+def test_the_camera_of_depth_images_must_be_calibrated() -> None:
+    image = depth_image(np.ones((6, 9), np.float32), "32FC1")
+    blank = replace(CAMERA, K=np.zeros((3, 3)), P=np.zeros((3, 4)), R=np.zeros((3, 3)))
+    with pytest.raises(CalibrationError, match=r"^/sensor: not calibrated"):
+        range_points(image, "/sensor", blank)
+    flat = replace(CAMERA, P=np.diag([0.0, 1, 1])[:, [0, 1, 2, 2]])
+    with pytest.raises(CalibrationError, match=r"^/sensor: "):
+        range_points(image, "/sensor", flat)
+    raw = range_points(image, "/sensor", replace(CAMERA, P=np.zeros((3, 4))))  # K counts
+    np.testing.assert_array_equal(raw.points_m, range_points(image, "/sensor", CAMERA).points_m)
 
 
 def test_other_messages_are_refused() -> None:

@@ -68,6 +68,12 @@ def test_without_a_moving_frame_above_both_the_motion_is_not_known() -> None:
     assert_equal(tree.pose_between("camera", 1 * S, "lidar", 5 * S), tree.pose("camera", "lidar", 5 * S).matrix)
 
 
+def test_a_static_pose_that_is_repeated_over_time_stays_static() -> None:
+    tree = robot()
+    tree.add("body", "lidar", BODY_CAMERA, 11 * S)
+    assert_equal(tree.pose("body", "lidar", 99 * S), BODY_LIDAR.matrix)
+
+
 def test_of_a_stream_only_the_newest_poses_are_kept() -> None:
     tree = Transforms(keep_ns=2 * S)
     for second in range(6):

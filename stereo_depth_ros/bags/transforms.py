@@ -12,12 +12,13 @@ from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.core.errors import MessageError, TransformError
 from stereo_depth_ros.core.transforms import StaticTransform, Transforms
-from stereo_depth_ros.messages.transforms import ODOMETRY_TYPE, TF_TYPE, add_odometry, add_transforms
+from stereo_depth_ros.messages.motion import TREE_TYPE, stamped_pose, tree_poses
 from stereo_depth_ros.messages.types import make_header
 
 __all__ = ["STATIC_TOPIC", "BagTransforms", "read_transforms", "write_static_transforms"]
 
 STATIC_TOPIC, TOPIC = "/tf_static", "/tf"
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 
 
 @dataclass(frozen=True)
@@ -47,16 +48,19 @@ def read_transforms(reader: BagReader) -> BagTransforms:
     """
     tree, odometry = Transforms(), Transforms()
     names = {name: info.msgtype for name, info in reader.topics.items() if info.count}
-    used = [name for name, kind in names.items() if kind == TF_TYPE and name.endswith((STATIC_TOPIC, TOPIC))]
+    used = [name for name, kind in names.items() if kind == TREE_TYPE and name.endswith((STATIC_TOPIC, TOPIC))]
     used += [name for name, kind in names.items() if kind == ODOMETRY_TYPE]
     left_out, first = 0, ""
     for message in reader.messages(used) if used else ():
         try:
-            if names[message.topic] == ODOMETRY_TYPE:
-                add_odometry(odometry, reader.deserialize(message), message.topic)
+            found = reader.deserialize(message)
+            if message.msgtype == ODOMETRY_TYPE:
+                each = stamped_pose(found, ODOMETRY_TYPE, message.topic)
+                odometry.add(each.parent, each.child, each.pose, each.stamp_ns)
             else:
                 static = message.topic.endswith(STATIC_TOPIC)
-                add_transforms(tree, reader.deserialize(message), message.topic, static=static)
+                for each in tree_poses(found, message.topic):
+                    tree.add(each.parent, each.child, each.pose, None if static else each.stamp_ns)
         except (MessageError, TransformError) as error:
             left_out += 1
             first = first or str(error.about(message.topic))
@@ -84,5 +88,5 @@ def write_static_transforms(bag: BagWriter, transforms: Iterable[StaticTransform
         stamped.append(
             known["geometry_msgs/msg/TransformStamped"](header=header, child_frame_id=each.child, transform=transform)
         )
-    message = known[TF_TYPE](transforms=stamped)
-    bag.write_raw(STATIC_TOPIC, TF_TYPE, types.serialize(message), stamp_ns, latched=True)
+    message = known[TREE_TYPE](transforms=stamped)
+    bag.write_raw(STATIC_TOPIC, TREE_TYPE, types.serialize(message), stamp_ns, latched=True)

@@ -55,7 +55,9 @@ class Transforms:
         return sorted(self._links.keys() | {link.parent for link in self._links.values()})
 
     def add(self, parent: str, child: str, parent_from_child: Pose, stamp_ns: int | None = None) -> None:
-        """Add the pose of ``child`` in ``parent``; a new parent replaces the old one, a static pose all others.
+        """Add the pose of ``child`` in ``parent``.
+
+        A new parent replaces the old one, a static pose all others: some drivers repeat fixed poses over time.
 
         Args:
             parent, child: names of the frames; the leading slash of ROS 1 does not count.
@@ -78,9 +80,8 @@ class Transforms:
             link = self._links[child] = _Link(parent)
         if stamp_ns is None:
             self._links[child] = _Link(parent, parent_from_child)
-            return
-        link.fixed = None
-        self._insert(link, stamp_ns, parent_from_child)
+        elif link.fixed is None:
+            self._insert(link, stamp_ns, parent_from_child)
 
     def add_missing(self, other: Transforms) -> None:
         """Add the frames of another tree that have no parent in this one."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo_depth_ros.core.camera import CameraModel
+from stereo_depth_ros.core.camera import CameraModel, check_intrinsics
 from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.quoted import quoted
 from stereo_depth_ros.core.types import F32, F64
@@ -54,6 +54,7 @@ def range_points(
 
     Raises:
         MessageError: another message, a depth image without its camera, or as the function of its kind.
+        CalibrationError: the camera of a depth image is not calibrated.
     """
     if hasattr(msg, "point_step"):
         return cloud_points(msg, topic, sigma_m)
@@ -156,8 +157,11 @@ def depth_points(msg: Any, camera: CameraModel, topic: str = "", sigma_m: float 
 
     Raises:
         MessageError: as :func:`depth_pixels`, or an image of another size than that of the camera.
+        CalibrationError: the camera is not calibrated.
     """
     depth_m = depth_pixels(msg, topic)
+    is_rectified = bool(camera.P.any())
+    check_intrinsics(camera.rectified() if is_rectified else camera, topic)
     height, width = depth_m.shape
     if (width, height) != (camera.width, camera.height):
         raise MessageError(
@@ -167,11 +171,11 @@ def depth_points(msg: Any, camera: CameraModel, topic: str = "", sigma_m: float 
             limit=(camera.width, camera.height),
             remedy="publish the camera info of this image",
         )
-    K = camera.P[:, :3] if camera.P.any() else camera.K
+    K = camera.P[:, :3] if is_rectified else camera.K
     y, x = np.nonzero(np.isfinite(depth_m))
     z = depth_m[y, x].astype(np.float64)
     points = np.stack([(x - K[0, 2]) / K[0, 0] * z, (y - K[1, 2]) / K[1, 1] * z, z], axis=1)
-    if camera.P.any() and camera.R.any():
+    if is_rectified and camera.R.any():
         points = points @ camera.R  # R^T X for rows: from the rectified camera to that of the frame
     dropped = {"without depth": depth_m.size - z.size}
     return SensorPoints(

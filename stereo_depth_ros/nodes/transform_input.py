@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from stereo_depth_ros.core.transforms import Transforms
-from stereo_depth_ros.messages.transforms import add_transforms
+from stereo_depth_ros.messages.motion import tree_poses
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.message_types import message_class
 
@@ -50,4 +50,6 @@ class TransformInput:
     def receive(self, message: Any, topic: str) -> None:
         """Add the transforms of a message of /tf_static or /tf."""
         with self._node.diagnostics.catch():
-            add_transforms(self.tree, message, topic, static=topic.endswith("_static"))
+            static = topic.endswith("_static")
+            for each in tree_poses(message, topic):
+                self.tree.add(each.parent, each.child, each.pose, None if static else each.stamp_ns)

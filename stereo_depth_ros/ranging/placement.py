@@ -71,10 +71,11 @@ class Placement:
         Raises:
             TransformError: as :meth:`pose`.
         """
-        if self.motion_known(rig, points.frame_id):
-            return compensated(points, lambda at: self.pose(rig, camera_ns, points.frame_id, at))
-        pose = self.pose(rig, camera_ns, points.frame_id, points.stamp_ns)
-        return pose.apply(points.points_m.astype(np.float64)).astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):  # points that are not finite are not seen
+            if self.motion_known(rig, points.frame_id):
+                return compensated(points, lambda at: self.pose(rig, camera_ns, points.frame_id, at))
+            pose = self.pose(rig, camera_ns, points.frame_id, points.stamp_ns)
+            return pose.apply(points.points_m.astype(np.float64)).astype(np.float32)
 
     def _turn(self, rig: StereoRig) -> Pose:
         return self.turned or rectified_from_left(rig)

@@ -106,40 +106,17 @@ def project(
     )
     f_baseline = triangulation.f_px * triangulation.baseline_m
     index = np.full((height, width), -1, np.int32)
-    disparities = np.full((height, width), -np.inf, np.float32)
-    sigmas = np.full((height, width), np.nan, np.float32)
-    counts = np.zeros(2, np.int64)
-    _fill(
-        np.ascontiguousarray(points_m),
-        np.ascontiguousarray(camera_from_sensor.matrix[:3]),
-        camera,
-        f_baseline,
-        sigma_m,
-        index,
-        disparities,
-        sigmas,
-        counts,
-    )
-    behind, outside = (int(count) for count in counts)
-    gaps = _gaps(index)
+    disparities, sigmas = (np.full((height, width), np.nan, np.float32) for _ in range(2))
+    counts = np.zeros(4, np.int64)
+    pose = np.ascontiguousarray(camera_from_sensor.matrix[:3])
+    maps = (index, disparities, sigmas)
+    _fill(np.ascontiguousarray(points_m), pose, camera, f_baseline, sigma_m, *maps, counts)
     hidden = np.zeros((height, width), np.bool_)
-    run_bands(_hide, height, index, disparities, sigmas, *gaps, hidden)
-    # a point of a pixel that is not its nearest one: of the same surface, or hidden
-    shared = np.zeros(2, np.int64)
-    _count_shared(
-        np.ascontiguousarray(points_m),
-        np.ascontiguousarray(camera_from_sensor.matrix[:3]),
-        camera,
-        f_baseline,
-        index,
-        disparities,
-        sigmas,
-        shared,
-    )
-    merged, occluded = int(shared[0]), int(shared[1]) + int(np.count_nonzero(hidden))
-    unseen = hidden | (index < 0)
-    disparities[unseen] = sigmas[unseen] = np.nan
-    index[unseen] = -1
+    run_bands(_hide, height, disparities, sigmas, *_gaps(index), hidden)
+    disparities[hidden] = sigmas[hidden] = np.nan
+    index[hidden] = -1
+    behind, outside, occluded, merged = (int(count) for count in counts)
+    occluded += int(np.count_nonzero(hidden))
     return SparseDisparity(disparities, sigmas, index, len(points_m), behind, outside, occluded, merged)
 
 
@@ -198,7 +175,7 @@ def _fill(
     sigmas: F32,
     counts: npt.NDArray[np.int64],
 ) -> None:
-    """Put the nearest point of each pixel there; count those behind the camera and outside of the image."""
+    """Put the nearest point of each pixel there; count those behind the camera, outside, hidden, and merged."""
     height, width = index.shape
     for at in range(points_m.shape[0]):
         u, v, d, depth = _project(points_m, at, pose, camera, f_baseline)
@@ -209,32 +186,13 @@ def _fill(
         else:
             x, y = int(u + 0.5), int(v + 0.5)
             sigma = f_baseline / (depth * depth) * sigma_m
+            step = d - disparities[y, x]  # above that of the point that is there
+            if index[y, x] >= 0:
+                counts[2 if abs(step) > _STEP_PX + _NOISE * sigma else 3] += 1
             # not the nearest one by its noise: that would be too near on average
-            if index[y, x] < 0 or d - disparities[y, x] > _NOISE * sigma:
+            if index[y, x] < 0 or step > _NOISE * sigma:
                 disparities[y, x], sigmas[y, x] = d, sigma
                 index[y, x] = at
-
-
-@compiled(f"void({_POINTS}, float64[:, ::1], float64[::1], float64, int32[:, ::1], {_MAP}, {_MAP}, int64[::1])")
-def _count_shared(
-    points_m: F32,
-    pose: F64,
-    camera: F64,
-    f_baseline: float,
-    index: I32,
-    disparities: F32,
-    sigmas: F32,
-    counts: npt.NDArray[np.int64],
-) -> None:
-    """Count the points whose pixel has a nearer one: those of the same surface, and those behind it."""
-    height, width = index.shape
-    for at in range(points_m.shape[0]):
-        u, v, d, depth = _project(points_m, at, pose, camera, f_baseline)
-        if depth > 0.0 and np.isfinite(depth) and -0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5:
-            x, y = int(u + 0.5), int(v + 0.5)
-            if index[y, x] != at:
-                step = _STEP_PX + _NOISE * sigmas[y, x]
-                counts[1 if disparities[y, x] - d > step else 0] += 1
 
 
 @compiled("void(int64, int64, int32[:, ::1], int64[:, :, :, ::1])")
@@ -264,31 +222,20 @@ def _measure_gaps(first: int, last: int, index: I32, histograms: npt.NDArray[np.
             histograms[1, y // _TILE_PX, x // _TILE_PX, gap_y] += 1
 
 
-@compiled(
-    f"void(int64, int64, int32[:, ::1], {_MAP}, {_MAP}, float64[:, ::1], float64[:, ::1], boolean[:, ::1])",
-)
-def _hide(
-    first: int,
-    last: int,
-    index: I32,
-    disparities: F32,
-    sigmas: F32,
-    gaps_x: F64,
-    gaps_y: F64,
-    hidden: Mask,
-) -> None:
+@compiled(f"void(int64, int64, {_MAP}, {_MAP}, float64[:, ::1], float64[:, ::1], boolean[:, ::1])")
+def _hide(first: int, last: int, disparities: F32, sigmas: F32, gaps_x: F64, gaps_y: F64, hidden: Mask) -> None:
     """Mark the points behind the patches of those in the rows from ``first`` to ``last``, in any rows."""
-    height, width = index.shape
+    height, width = disparities.shape
     for y in range(first, last):
         for x in range(width):
-            if index[y, x] < 0:
+            near = disparities[y, x]
+            if np.isnan(near):
                 continue
-            near, noise = disparities[y, x], _NOISE * sigmas[y, x]
+            limit = near - np.float32(_STEP_PX + _NOISE * sigmas[y, x])
             beside = max(int(_PATCH * gaps_x[y // _TILE_PX, x // _TILE_PX] + 0.5), 1)
             above = max(int(_PATCH * gaps_y[y // _TILE_PX, x // _TILE_PX] + 0.5), 1)
             for v in range(max(y - above, 0), min(y + above + 1, height)):
                 for u in range(max(x - beside, 0), min(x + beside + 1, width)):
-                    if index[v, u] >= 0 and near - disparities[v, u] > _STEP_PX + noise + _SLOPE * max(
-                        abs(u - x), abs(v - y)
-                    ):
+                    far = disparities[v, u]
+                    if far < limit and far < limit - _SLOPE * max(abs(u - x), abs(v - y)):  # false of NaN
                         hidden[v, u] = True
