@@ -14,6 +14,7 @@ from stereo_depth_ros.config.stages import (
     DepthConfig,
     PairingConfig,
     PipelineConfig,
+    PriorConfig,
     RectificationConfig,
     ViewConfig,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "PairingConfig",
     "ParameterInfo",
     "PipelineConfig",
+    "PriorConfig",
     "RectificationConfig",
     "StripeMotionConfig",
     "StructuredLightConfig",

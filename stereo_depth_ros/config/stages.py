@@ -29,6 +29,7 @@ __all__ = [
     "DepthConfig",
     "PairingConfig",
     "PipelineConfig",
+    "PriorConfig",
     "RectificationConfig",
     "ViewConfig",
 ]
@@ -81,6 +82,21 @@ class CameraInfoConfig(Checked):
     )
     right_camera_info_url: str = parameter(
         "", "Calibration file of the right camera; empty where that of the left one holds both.", run_time=False
+    )
+
+
+@dataclass(frozen=True)
+class PriorConfig(Checked):
+    """A range sensor whose points guide the matcher."""
+
+    prior_topic: str = parameter(
+        "",
+        "Topic of a range sensor (PointCloud2, LaserScan, or depth Image) whose points guide the matcher, sgm only; "
+        "empty uses none.",
+        run_time=False,
+    )
+    prior_extrinsics: str = parameter(
+        "", "File with the pose of that range sensor; empty takes that of /tf_static and /tf.", run_time=False
     )
 
 
@@ -274,6 +290,7 @@ class PipelineConfig:
 # By the names of the tables: the stages of the pipeline, and nodes beside it
 CONFIGS: Mapping[str, type] = {
     **{item.name: type(item.default) for item in dataclasses.fields(PipelineConfig)},
+    "prior": PriorConfig,
     "health": CalibrationMonitorConfig,
     "calibration": CalibrationConfig,
     "structured_light": StructuredLightConfig,

@@ -8,18 +8,21 @@ import functools
 from concurrent.futures import Future
 from typing import Any, NamedTuple
 
-from stereo_depth_ros.config import CameraInfoConfig, MatchingConfig, PairingConfig
+from stereo_depth_ros.config import CameraInfoConfig, MatchingConfig, PairingConfig, PriorConfig
 from stereo_depth_ros.core.images import to_gray
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import U8, MatchResult, StereoPair
 from stereo_depth_ros.matching.protocol import Images
 from stereo_depth_ros.messages.disparity import match_message
 from stereo_depth_ros.messages.payloads import PayloadPool
+from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.first_pairs_watch import FirstPairsWatch
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
 from stereo_depth_ros.nodes.pair_input import PairInput
+from stereo_depth_ros.nodes.prior_input import PriorInput
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.stages.disparity import DisparityStage
 from stereo_depth_ros.stages.rectification import Rectifier
@@ -36,6 +39,7 @@ class _Frame(NamedTuple):
     config: MatchingConfig
     rectifier: Rectifier
     stage: DisparityStage
+    prior: DisparityPrior | None
 
 
 class _Decoded(NamedTuple):
@@ -53,14 +57,15 @@ class DisparityNode(StereoNode):
 
     interface = NodeInterface(
         "disparity_node",
-        configs=(PairingConfig, CameraInfoConfig, MatchingConfig),
+        configs=(PairingConfig, CameraInfoConfig, MatchingConfig, PriorConfig),
         inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
         outputs={"disparity": "stereo_msgs/msg/DisparityImage"},
     )
 
     def __init__(self) -> None:
         super().__init__()
-        self.parameters.require(MatchingConfig, self.check_matcher)
+        self._prior = PriorInput(self)
+        self.parameters.require(MatchingConfig, self._check)
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
         self._pool = PayloadPool(self.types)
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
@@ -73,13 +78,18 @@ class DisparityNode(StereoNode):
         self.add_input("left/image_rect", self._pairs.add_left)
         self.add_input("right/image_rect", self._pairs.add_right)
 
+    def _check(self, config: MatchingConfig) -> None:
+        self._prior.check(config)
+        self.check_matcher(config)
+
     def _on_pair(self, left: Any, right: Any) -> None:
         self._calibration.with_rig(lambda rig: self._add(left, right, rig), left, right)
 
     def _add(self, left: Any, right: Any, rig: StereoRig) -> None:
         self._pairs.check(left, right, rig)
         config, rectifier = self.parameters.get(MatchingConfig), self._rectifier(rig)
-        self.add_frame(_Frame(left, right, rig, config, rectifier, self._stage(config, rectifier)))
+        prior = self._prior.of(rig, stamp_ns(left.header))
+        self.add_frame(_Frame(left, right, rig, config, rectifier, self._stage(config, rectifier), prior))
 
     def _prepare(self, frame: _Frame) -> _Decoded:
         pair = self._pairs.decode(frame.left, frame.right)
@@ -88,7 +98,9 @@ class DisparityNode(StereoNode):
 
     def _match(self, decoded: _Decoded) -> tuple[_Decoded, MatchResult]:
         with self.diagnostics.timed("match"):
-            return decoded, decoded.frame.stage.match(decoded.left, decoded.right, earlier=decoded.earlier)
+            frame = decoded.frame
+            match = frame.stage.match(decoded.left, decoded.right, earlier=decoded.earlier, prior=frame.prior)
+        return decoded, match
 
     def _publish(self, future: Future[tuple[_Decoded, MatchResult]]) -> None:
         with self._first_pairs.refusing():

@@ -15,15 +15,19 @@ from stereo_depth_ros.config import (
     MatchingConfig,
     PairingConfig,
     PipelineConfig,
+    PriorConfig,
     RectificationConfig,
 )
 from stereo_depth_ros.core.bit_depth import BitDepth
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.first_pairs_watch import FirstPairsWatch
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
 from stereo_depth_ros.nodes.pair_input import PairInput
+from stereo_depth_ros.nodes.prior_input import PriorInput
 from stereo_depth_ros.nodes.runner import run
 from stereo_depth_ros.outputs import LIVE_OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import PreparedPair, StereoPipeline, StereoResult
@@ -32,11 +36,12 @@ __all__ = ["StereoDepthNode", "main"]
 
 
 class _Frame(NamedTuple):
-    """A pair of messages, and the pipeline that was current when it arrived."""
+    """A pair of messages, and the pipeline and the prior that were current when it arrived."""
 
     left: Any
     right: Any
     pipeline: StereoPipeline
+    prior: DisparityPrior | None
 
 
 class StereoDepthNode(StereoNode):
@@ -47,14 +52,18 @@ class StereoDepthNode(StereoNode):
 
     interface = NodeInterface(
         "stereo_depth_node",
-        configs=(PairingConfig, CameraInfoConfig, MatchingConfig, DepthConfig, CloudConfig, RectificationConfig),
+        configs=(
+            *(PairingConfig, CameraInfoConfig, MatchingConfig, DepthConfig, CloudConfig, RectificationConfig),
+            PriorConfig,
+        ),
         inputs=CAMERA_INFOS | RAW_IMAGES,
         outputs={row.topic: row.msgtype for row in LIVE_OUTPUTS},
     )
 
     def __init__(self) -> None:
         super().__init__()
-        self.parameters.require(MatchingConfig, self.check_matcher)
+        self._prior = PriorInput(self)
+        self.parameters.require(MatchingConfig, self._check)
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         self._pipeline: StereoPipeline | None = None
         self._first_pairs = FirstPairsWatch(self)
@@ -68,20 +77,25 @@ class StereoDepthNode(StereoNode):
         self.add_input("left/image_raw", self._pairs.add_left)
         self.add_input("right/image_raw", self._pairs.add_right)
 
+    def _check(self, config: MatchingConfig) -> None:
+        self._prior.check(config)
+        self.check_matcher(config)
+
     def _on_pair(self, left: Any, right: Any) -> None:
         self._calibration.with_rig(lambda rig: self._add(left, right, rig), left, right)
 
     def _add(self, left: Any, right: Any, rig: StereoRig) -> None:
         self._pairs.check(left, right, rig)
-        self.add_frame(_Frame(left, right, self._pipeline_of(rig)))
+        prior = self._prior.of(rig, stamp_ns(left.header))
+        self.add_frame(_Frame(left, right, self._pipeline_of(rig), prior))
 
-    def _prepare(self, frame: _Frame) -> tuple[StereoPipeline, PreparedPair]:
+    def _prepare(self, frame: _Frame) -> tuple[_Frame, PreparedPair]:
         pair = self._pairs.decode(frame.left, frame.right)
-        return frame.pipeline, frame.pipeline.prepare(pair)
+        return frame, frame.pipeline.prepare(pair)
 
-    def _match(self, prepared: tuple[StereoPipeline, PreparedPair]) -> tuple[StereoPipeline, StereoResult]:
-        pipeline, pair = prepared
-        return pipeline, pipeline.match(pair)
+    def _match(self, prepared: tuple[_Frame, PreparedPair]) -> tuple[StereoPipeline, StereoResult]:
+        frame, pair = prepared
+        return frame.pipeline, frame.pipeline.match(pair, frame.prior)
 
     def _publish(self, future: Future[tuple[StereoPipeline, StereoResult]]) -> None:
         with self._first_pairs.refusing():
