@@ -17,7 +17,7 @@ from stereo_depth_ros.cli.main import COMMANDS, app
 # First words of the sentences that say what a command or an option does, and verbs of the other sentences.
 IMPERATIVES = (
     *("Calibrate", "Compare", "Compile", "Compute", "Convert", "Evaluate", "Examine", "Install", "Keep", "Limit"),
-    *("Draw", "List", "Listen", "Look", "Match", "Play", "Plot", "Print", "Process", "Publish"),
+    *("Draw", "Fuse", "List", "Listen", "Look", "Match", "Play", "Plot", "Print", "Process", "Publish"),
     *("Read", "Rectify", "Render", "Replace", "Run", "Send", "Set", "Show", "Skip"),
     *("Start", "Take", "Use", "Write"),
 )

@@ -253,6 +253,18 @@ def test_holes_are_filled_where_nothing_is_known_behind_them() -> None:
     assert (kept.mesh.points_m[inner, 2] > 1.4).all()
 
 
+def test_borders_that_meet_in_a_vertex_are_several_loops() -> None:
+    """A square of 5 x 5 vertices without two quads that touch in vertex 12."""
+    quads = [5 * y + x for y in range(4) for x in range(4) if (y, x) not in ((1, 1), (2, 2))]
+    triangles = np.array([t for a in quads for t in ((a, a + 6, a + 1), (a, a + 5, a + 6))], np.int32)
+    loops = hole_loops(triangles, 4)
+    assert sorted(map(sorted, loops)) == [[6, 7, 11, 12], [12, 13, 17, 18]]
+    edges = {(a, b) for t in triangles.tolist() for a, b in zip(t, [*t[1:], t[0]], strict=True)}
+    for loop in loops:
+        assert {*zip(loop, [*loop[1:], loop[0]], strict=True)} <= edges
+    assert sorted(map(len, hole_loops(triangles, 100))) == [4, 4, 16]
+
+
 def test_memory_is_bounded_and_stated() -> None:
     volume = SurfaceVolume(0.006, most_bytes=7_000_000)
     with pytest.raises(ConfigError) as caught:

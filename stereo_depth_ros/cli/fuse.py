@@ -120,7 +120,9 @@ def fuse(
     depth_sigma: DepthSigma = DEPTH_SIGMA_M,
     max_gap: Annotated[
         float,
-        typer.Option(min=0, metavar="SECONDS", help="Interpolate between two poses that are not farther apart."),
+        typer.Option(
+            min=0, metavar="SECONDS", help="Limit the time between two poses between which others are interpolated."
+        ),
     ] = 0.5,
     voxel: Annotated[
         float | None,
@@ -130,20 +132,25 @@ def fuse(
         ),
     ] = None,
     max_depth: Annotated[
-        float, typer.Option(min=0, metavar="METERS", help="Leave out depth beyond it; 0 leaves out nothing.")
+        float, typer.Option(min=0, metavar="METERS", help="Skip depth beyond it; 0 skips nothing.")
     ] = 0.0,
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Use one of N pairs.")] = 1,
     refine: Annotated[
-        bool, typer.Option("--refine", help="Refine each pose by registration with the surface fused before it.")
+        bool,
+        typer.Option("--refine", help="Match each image with the surface fused before it, which refines its pose."),
     ] = False,
     min_piece: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Remove connected pieces of fewer triangles.")
+        int, typer.Option(min=0, metavar="N", help="Keep connected pieces of so many triangles.")
     ] = 100,
     fill: Annotated[
         float,
-        typer.Option(min=0, metavar="METERS", help="Fill holes up to this diameter that no ray has crossed."),
+        typer.Option(
+            min=0,
+            metavar="METERS",
+            help="Set the largest diameter of holes that are filled where no ray has crossed them.",
+        ),
     ] = 0.0,
-    memory: Annotated[int, typer.Option(min=1, metavar="MIB", help="Bound the memory of the volume.")] = 2048,
+    memory: Annotated[int, typer.Option(min=1, metavar="MIB", help="Limit the memory of the volume.")] = 2048,
     camera_info: CameraInfo = None,
     matcher: Matcher = None,
     param: Params = None,

@@ -38,7 +38,7 @@ Marks = Annotated[
     typer.Option(
         "--marks",
         metavar="IMAGE",
-        help="Find the poses of color and depth images by the dots of this printed sheet, on which an object stands, "
+        help="Take the poses of color and depth images from the dots of this printed sheet, on which an object stands, "
         "and fuse the object above it to a closed surface.",
     ),
 ]

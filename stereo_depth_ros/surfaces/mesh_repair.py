@@ -73,9 +73,11 @@ def _label_pieces(triangles: Any, labels: Any) -> None:
 def hole_loops(triangles: npt.NDArray[np.int32], most_edges: int) -> list[list[int]]:
     """The borders of holes, each a loop of vertices in the direction of the triangles beside it.
 
+    A border that meets itself in a vertex is several loops.
+
     Args:
         triangles: int32 (M, 3).
-        most_edges: longer loops are left out, as those that meet themselves in a vertex.
+        most_edges: longer loops are left out.
     """
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     if not len(edges):
@@ -83,19 +85,28 @@ def hole_loops(triangles: npt.NDArray[np.int32], most_edges: int) -> list[list[i
     keys = (edges.min(axis=1) << 32) | edges.max(axis=1)
     _, places, counts = np.unique(keys, return_index=True, return_counts=True)
     border = edges[places[counts == 1]]
-    starts, times = np.unique(border[:, 0], return_counts=True)
-    several = {*starts[times > 1].tolist()}
-    following = dict(border.tolist())
+    following: dict[int, list[int]] = {}
+    for start, end in border.tolist():
+        following.setdefault(start, []).append(end)
     loops = []
     while following:
-        start, vertex = next(iter(following.items()))
-        del following[start]
-        loop = [start]
-        while vertex != start and vertex in following:
-            loop.append(vertex)
-            vertex = following.pop(vertex)
-        if vertex == start and 3 <= len(loop) <= most_edges and not several & {*loop}:
-            loops.append(loop)
+        way = [next(iter(following))]
+        places_on_way = {way[0]: 0}
+        while way and (ends := following.get(way[-1])):
+            vertex = ends.pop()
+            if not ends:
+                del following[way[-1]]
+            begin = places_on_way.get(vertex)
+            if begin is None:
+                places_on_way[vertex] = len(way)
+                way.append(vertex)
+                continue
+            loop = way[begin:]
+            if 3 <= len(loop) <= most_edges:
+                loops.append(loop)
+            for passed in way[begin + 1 :]:
+                del places_on_way[passed]
+            del way[begin + 1 :]
     return loops
 
 

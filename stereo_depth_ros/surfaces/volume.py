@@ -14,7 +14,7 @@ import numpy.typing as npt
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.pose import Pose
-from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.core.types import F32, F64, U8
 from stereo_depth_ros.surfaces.extraction_kernels import (
     NEAR,
     distances_at,
@@ -29,7 +29,21 @@ from stereo_depth_ros.surfaces.mesh import Mesh, joined_neighbors
 from stereo_depth_ros.surfaces.mesh_kernels import fit_lines
 from stereo_depth_ros.surfaces.mesh_repair import filled_holes, without_small_pieces
 from stereo_depth_ros.surfaces.range_image import RangeImage
-from stereo_depth_ros.surfaces.volume_kernels import EMPTY, OUTSIDE, SIDE, VOXELS, add_blocks, add_image, insert_blocks
+from stereo_depth_ros.surfaces.volume_kernels import (
+    BAND,
+    EMPTY,
+    INVERSE,
+    OUTSIDE,
+    REACH,
+    SIDE,
+    SLOPE,
+    SMOOTH,
+    VOXELS,
+    WEIGHT,
+    add_blocks,
+    add_image,
+    insert_blocks,
+)
 
 __all__ = ["FusedSurface", "IntegratedImage", "SurfaceVolume"]
 
@@ -39,6 +53,8 @@ _FLOOR = (
     0.05  # added to the standard deviation, voxels: an image without noise has a finite weight, and curved surfaces
 )
 _NORMAL_RADIUS_PX = 5
+_SMALLEST_COSINE = 0.1  # between the ray and the normal: a normal from noisy depths may be worse
+_SHORTEST_REACH = 1.75  # behind a surface, voxels: the corners of a cube that it crosses are within it
 _BLOCK_BYTES = VOXELS * (4 + 4 + 3) + 3 * 4
 _ENTRY_BYTES = 8 + 4  # of the table
 _FIRST_BLOCKS, _GROWTH = 1024, 1.25
@@ -153,40 +169,21 @@ class SurfaceVolume:
         lengths = np.sqrt(np.square(rays_x)[None] + np.square(rays_y)[:, None] + 1).astype(np.float32)
         slopes = -(normals[..., 0] * rays_x.astype(np.float32) + normals[..., 2])
         slopes -= normals[..., 1] * rays_y.astype(np.float32)[:, None]
-        across = sigma * slopes
-        along = sigma * lengths
         near, flat = measured & (image.depth_m <= max_depth_m), np.isfinite(slopes)
         with np.errstate(invalid="ignore"):
+            across = sigma * slopes
             certain = across <= _WIDEST / _SIGMAS * self.voxel_m
             used = near & flat & certain
-            band = np.clip(_SIGMAS * across, _NARROWEST * self.voxel_m, _WIDEST * self.voxel_m)
-            weight = (1 / np.square(along)).astype(np.float32)
-        band = np.where(used, band, np.float32(np.nan)).astype(np.float32)
+            pixels = self._pixels(joined, np.maximum(slopes, _SMALLEST_COSINE * lengths), sigma, lengths)
+        pixels[..., BAND] = np.where(used, pixels[..., BAND], np.float32(np.nan))
         pose = (np.ascontiguousarray(world_from_camera.rotation, np.float64), world_from_camera.translation_m)
-        self._add_blocks(image.depth_m, normals, band, rays_x, rays_y, *pose)
+        self._add_blocks(image.depth_m, normals, np.ascontiguousarray(pixels[..., BAND]), rays_x, rays_y, *pose)
         count = self.block_count
         apart = np.empty((count, 2))
         farthest_m = float(np.max(image.depth_m, where=used, initial=0.0))
+        seen = (pixels, np.ascontiguousarray(image.rgb), rays_x, rays_y, *pose, self.voxel_m, farthest_m)
         blocks = (self._distance, self._weight, self._color)
-        run_bands(
-            add_image,
-            count,
-            self._coordinates,
-            joined[0],
-            normals,
-            band,
-            weight,
-            *joined[1:],
-            np.ascontiguousarray(image.rgb),
-            rays_x,
-            rays_y,
-            *pose,
-            self.voxel_m,
-            farthest_m,
-            *blocks,
-            apart,
-            min_rows=_CHUNK,
-        )
+        run_bands(add_image, count, self._coordinates, *seen, *blocks, apart, min_rows=_CHUNK)
         total, known = apart.sum(axis=0)
         return IntegratedImage(
             int(np.count_nonzero(used)),
@@ -195,6 +192,20 @@ class SurfaceVolume:
             int(np.count_nonzero(near & ~flat)),
             float(total / known) if known else math.nan,
         )
+
+    def _pixels(self, joined: tuple[F32, U8, U8], slopes: F32, sigma: F32, lengths: F32) -> F32:
+        """The values of each pixel for :func:`add_image`, without regard to what does not count."""
+        inverse, right, down = joined
+        pixels = np.zeros((*inverse.shape, 8), np.float32)  # of the size of half a cache line
+        pixels[..., INVERSE], pixels[..., SLOPE] = inverse, slopes
+        pixels[..., WEIGHT] = 1 / np.square(sigma * lengths)
+        pixels[..., BAND] = np.clip(_SIGMAS * sigma * slopes, _NARROWEST * self.voxel_m, _WIDEST * self.voxel_m)
+        inside = np.zeros(inverse.shape, bool)  # joined with all four neighbors
+        inside[1:, 1:] = (right[1:, 1:] & right[1:, :-1] & down[1:, 1:] & down[:-1, 1:]).astype(bool)
+        reach = np.where(inside, pixels[..., BAND] * slopes / lengths, np.float32(0))
+        pixels[..., REACH] = np.maximum(reach, np.float32(_SHORTEST_REACH * self.voxel_m))
+        pixels[:-1, :-1, SMOOTH] = right[:-1, :-1] & right[1:, :-1] & down[:-1, :-1] & down[:-1, 1:]
+        return pixels
 
     def mesh(self) -> Mesh:
         """The whole surface, see :meth:`surface`."""

@@ -18,7 +18,23 @@ import numpy.typing as npt
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, F64, U8
 
-__all__ = ["EMPTY", "OUTSIDE", "SIDE", "VOXELS", "add_blocks", "add_image", "find", "insert_blocks", "key_of"]
+__all__ = [
+    "BAND",
+    "EMPTY",
+    "INVERSE",
+    "OUTSIDE",
+    "REACH",
+    "SIDE",
+    "SLOPE",
+    "SMOOTH",
+    "VOXELS",
+    "WEIGHT",
+    "add_blocks",
+    "add_image",
+    "find",
+    "insert_blocks",
+    "key_of",
+]
 
 SIDE, VOXELS = 8, 512
 EMPTY = -1  # a place of the table without a block
@@ -26,8 +42,7 @@ OUTSIDE = -1  # result of add_blocks
 _LARGEST = 1 << 20  # of the coordinates of a block
 _HASH = np.uint64(0x9E3779B97F4A7C15)
 _SHIFT = np.uint64(20)
-_SMALLEST_COSINE = 0.1  # between the ray and the normal: a normal from noisy depths may be worse
-_REACH = 1.75
+INVERSE, BAND, SLOPE, REACH, WEIGHT, SMOOTH = range(6)  # values of a pixel
 _SLOWEST_COLOR = 1.0 / 16  # share of a new color: 8 bits hold no slower mean
 
 _KEYS, _BLOCKS = "int64[::1]", "int32[::1]"
@@ -179,39 +194,25 @@ def _outside(x: float, y: float, z: float, radius: float, rays_x: F64, rays_y: F
 
 
 @compiled(allocates=False)
-def _depth_at(inverse: F32, right: U8, down: U8, u: float, v: float, y: int, x: int) -> float:
-    """Depth between pixels: bilinear in inverse depth, as on a plane, where the four are joined; else of (y, x)."""
-    x0, y0 = math.floor(u), math.floor(v)
-    if x0 < 0 or y0 < 0 or x0 + 1 >= inverse.shape[1] or y0 + 1 >= inverse.shape[0]:
-        return 1.0 / float(inverse[y, x])
-    if not (right[y0, x0] and right[y0 + 1, x0] and down[y0, x0] and down[y0, x0 + 1]):
-        return 1.0 / float(inverse[y, x])
-    a, b = u - x0, v - y0
-    above = (1.0 - a) * inverse[y0, x0] + a * inverse[y0, x0 + 1]
-    below = (1.0 - a) * inverse[y0 + 1, x0] + a * inverse[y0 + 1, x0 + 1]
+def _depth_at(pixels: F32, u: float, v: float) -> float:
+    """Depth between four joined pixels, of which the first one says so: bilinear in inverse depth, as on a plane."""
+    x, y = math.floor(u), math.floor(v)
+    a, b = u - x, v - y
+    above = (1.0 - a) * pixels[y, x, INVERSE] + a * pixels[y, x + 1, INVERSE]
+    below = (1.0 - a) * pixels[y + 1, x, INVERSE] + a * pixels[y + 1, x + 1, INVERSE]
     return float(1.0 / ((1.0 - b) * above + b * below))
 
 
-@compiled(allocates=False)
-def _is_inside(right: U8, down: U8, y: int, x: int) -> bool:
-    """Whether a pixel is joined with all four neighbors."""
-    return bool(y > 0 and x > 0 and right[y, x] and right[y, x - 1] and down[y, x] and down[y - 1, x])
-
-
 @compiled(
-    f"void(int64, int64, {_COORDINATES}, {_F32}, {_NORMALS}, {_F32}, {_F32}, {_U8}, {_U8}, uint8[:, :, ::1], {_F64}, "
-    f"{_F64}, {_MATRIX}, {_F64}, float64, float64, {_F32}, {_F32}, uint8[:, :, ::1], {_MATRIX})"
+    f"void(int64, int64, {_COORDINATES}, float32[:, :, ::1], uint8[:, :, ::1], {_F64}, {_F64}, {_MATRIX}, {_F64}, "
+    f"float64, float64, {_F32}, {_F32}, uint8[:, :, ::1], {_MATRIX})",
+    allocates=False,
 )
 def add_image(
     first: int,
     last: int,
     coordinates: Any,
-    inverse: F32,
-    normals: F32,
-    band: F32,
-    image_weight: F32,
-    right: U8,
-    down: U8,
+    pixels: F32,
     image_color: U8,
     rays_x: F64,
     rays_y: F64,
@@ -228,16 +229,14 @@ def add_image(
 
     The distance of a grid point from the surface that its pixel shows is that along the ray times the cosine between
     ray and normal, positive in front. In front of the band it counts as half the width of the band: space that a ray
-    has crossed is empty. Behind the surface the weight falls to 0 within half the width of the band along the ray, or,
-    for rays that graze the surface, within as much as the corners of cubes need.
+    has crossed is empty. Behind the surface the weight falls to 0 within the reach of the pixel.
 
     Args:
         first, last: blocks.
         coordinates: int32 (N, 3), of the blocks.
-        inverse: float32 (H, W), inverse depth, 1 / m.
-        normals, band: as of :func:`add_blocks`.
-        image_weight: float32 (H, W), weight of each pixel, 1 / m^2.
-        right, down: uint8 (H, W), whether a pixel is joined with its right and its lower neighbor.
+        pixels: float32 (H, W, 8), values of each pixel: INVERSE, inverse depth, 1 / m; BAND, half the width of the
+            band, m, NaN where it does not count; SLOPE, minus the product of normal and ray; REACH, m; WEIGHT, 1 / m^2;
+            SMOOTH, 1 where it and those to the right and below are joined.
         image_color: uint8 (H, W, 3).
         rays_x, rays_y: float64 (W,) and (H,), X / Z and Y / Z; equal steps.
         rotation, translation: float64 (3, 3) and (3,), from the camera to the world, m.
@@ -248,7 +247,7 @@ def add_image(
         apart: float64 (N, 2), written: of grid points in the band that were known before, the sum of the differences
             between new and old distance, in widths of the band, and their number.
     """
-    height, width = inverse.shape
+    height, width = pixels.shape[:2]
     fx = (width - 1) / (rays_x[-1] - rays_x[0]) if width > 1 else 1.0
     fy = (height - 1) / (rays_y[-1] - rays_y[0]) if height > 1 else 1.0
     radius = 0.5 * (SIDE - 1) * math.sqrt(3.0) * voxel_m
@@ -270,26 +269,22 @@ def add_image(
             z = r[0, 2] * wx + r[1, 2] * wy + r[2, 2] * wz
             if z <= 1e-6:
                 continue
-            tx = (r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz) / z
-            ty = (r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz) / z
-            u, v = (tx - rays_x[0]) * fx, (ty - rays_y[0]) * fy
+            nearness = 1.0 / z
+            u = ((r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz) * nearness - rays_x[0]) * fx
+            v = ((r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz) * nearness - rays_y[0]) * fy
             if not (u >= -0.5 and v >= -0.5 and u < width - 0.5 and v < height - 0.5):
                 continue
             px, py = math.floor(u + 0.5), math.floor(v + 0.5)
-            wide = float(band[py, px])
+            wide, slope = float(pixels[py, px, BAND]), float(pixels[py, px, SLOPE])
             if not wide > 0.0:
                 continue
-            slope = -(normals[py, px, 0] * tx + normals[py, px, 1] * ty + normals[py, px, 2])
-            slope = max(slope, _SMALLEST_COSINE * math.sqrt(1.0 + tx * tx + ty * ty))
-            ahead = slope * (_depth_at(inverse, right, down, u, v, py, px) - z)
-            if ahead <= -wide:
-                continue
-            w = float(image_weight[py, px])
+            ahead = slope * (1.0 / float(pixels[py, px, INVERSE]) - z)
+            close = abs(ahead) < 2.0 * wide and u >= 0.0 and v >= 0.0
+            if close and pixels[math.floor(v), math.floor(u), SMOOTH] != 0.0:
+                ahead = slope * (_depth_at(pixels, u, v) - z)
+            w = float(pixels[py, px, WEIGHT])
             if ahead < 0.0:
-                reach = _REACH * voxel_m
-                if _is_inside(right, down, py, px):
-                    reach = max(wide * slope / math.sqrt(1.0 + tx * tx + ty * ty), reach)
-                w *= 1.0 + ahead / reach
+                w *= 1.0 + ahead / pixels[py, px, REACH]
                 if not w > 0.0:
                     continue
             old, before = float(distance[block, voxel]), float(weight[block, voxel])
