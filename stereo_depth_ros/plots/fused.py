@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plots a fused surface: its points in their colors, from above, from the front and from the side."""
+"""Plots a fused surface in its colors, from above, from the front and from the side."""
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from stereo_depth_ros.core.types import F32, F64, U8
+from stereo_depth_ros.core.types import F64, U8
 from stereo_depth_ros.plots.drawing import FAINT, canvas, draw_text
 from stereo_depth_ros.surfaces.mesh import Mesh
 
@@ -15,6 +16,7 @@ __all__ = ["fused_plot"]
 _PANEL, _MARGIN, _TITLE, _CAPTION = 480, 16, 36, 30
 _OUTSIDE = 0.5  # % of the points on each side that the frame may cut off
 _LIGHTEST, _DARKEST = 1.0, 0.35  # share of the color, by the angle between the normal and the line of sight
+_FINEST = 2 * _PANEL  # parts of an edge; longer ones reach beyond the panel
 
 
 def fused_plot(mesh: Mesh, title: str, *, z_up: bool = False) -> U8:
@@ -44,15 +46,34 @@ def fused_plot(mesh: Mesh, title: str, *, z_up: bool = False) -> U8:
             flip = -1.0 if caption == "from above" else 1.0  # ahead is up
             place = np.stack((seen[:, 0] - center[0], flip * (seen[:, 1] - center[1])), axis=1) / (1.04 * size_m)
             near = points[:, depth] if caption == "from above" else sign * points[:, depth]
-            _draw(panel, place, near, np.abs(normals[:, depth]), mesh.colors)
+            values = np.column_stack((place, near, np.abs(normals[:, depth]), mesh.colors))
+            _draw(panel, _as_dense_as_pixels(values, mesh.triangles))
         draw_text(image, f"{caption}, {size_m:.2f} m wide", (x, _TITLE + _PANEL + 18), color=FAINT)
     draw_text(image, title, (_MARGIN, 25), 0.55)
     return image
 
 
-def _draw(panel: U8, place: F64, depth: F64, facing: F32, colors: U8) -> None:
-    order = np.argsort(-depth)
-    columns, rows = (np.rint((place[order, axis] + 0.5) * (_PANEL - 1)).astype(int) for axis in (0, 1))
+def _as_dense_as_pixels(values: F64, triangles: npt.NDArray[np.int32]) -> F64:
+    """Values, float64 (N, C), with x and y in panels first, of the points and of what lies between those of triangles.
+
+    The edges of a triangle are parted so that no part is longer than a pixel.
+    """
+    corners = values[triangles]
+    edges = corners[:, :, :2] - corners[:, (1, 2, 0), :2]
+    parts = np.ceil(np.hypot(edges[..., 0], edges[..., 1]).max(axis=1, initial=0.0) * _PANEL)
+    parts = np.clip(parts, 1, _FINEST).astype(int)
+    found = [values]
+    for count in np.unique(parts[parts > 1]):
+        i, j = np.divmod(np.arange((count + 1) ** 2), count + 1)
+        weights = np.stack((i, j, count - i - j), axis=1)[i + j <= count] / count
+        found.append(np.einsum("pk,tkc->tpc", weights, corners[parts == count]).reshape(-1, values.shape[1]))
+    return np.concatenate(found)
+
+
+def _draw(panel: U8, values: F64) -> None:
+    """Paint points, float64 (N, 7): x, y, depth, facing, red, green, blue; the nearest ones last."""
+    values = values[np.argsort(-values[:, 2])]
+    columns, rows = np.rint((values[:, :2].T + 0.5) * (_PANEL - 1)).astype(int)
     inside = (columns >= 0) & (columns < _PANEL) & (rows >= 0) & (rows < _PANEL)
-    shade = _DARKEST + (_LIGHTEST - _DARKEST) * facing[order][inside]
-    panel[rows[inside], columns[inside]] = (colors[order][inside, ::-1] * shade[:, None]).astype(np.uint8)
+    shade = _DARKEST + (_LIGHTEST - _DARKEST) * values[inside, 3:4]
+    panel[rows[inside], columns[inside]] = (values[inside, :3:-1] * shade).astype(np.uint8)
