@@ -46,6 +46,7 @@ from camera_file_texts import (
 )
 from hypothesis import strategies as st
 from mutations import mutated
+from range_messages import cloud, depth_image, laser_scan, xyz_cloud
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from stereo_depth_ros.active.structured_light.correspondence import disparity_from_maps
@@ -56,6 +57,7 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.camera_files.extrinsics import read_extrinsics
 from stereo_depth_ros.camera_files.reading import read_rig_files
 from stereo_depth_ros.cli import main as cli
 from stereo_depth_ros.config import CONFIGS, PipelineConfig, parameter_infos
@@ -64,7 +66,10 @@ from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.camera_info import camera_from_info
 from stereo_depth_ros.core.camera_yaml import camera_to_yaml
 from stereo_depth_ros.core.errors import StereoDepthError
+from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.transforms import Transforms
+from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.datasets.euroc import EurocDataset
 from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
@@ -78,9 +83,12 @@ from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.disparity import matched_disparity, published_triangulation
 from stereo_depth_ros.messages.encodings import ENCODINGS
 from stereo_depth_ros.messages.image import decode, decode_pair, image_message, image_size
+from stereo_depth_ros.messages.range_sensor import range_points
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.offline.pairs import read_pairs
 from stereo_depth_ros.pipeline import StereoPipeline
+from stereo_depth_ros.ranging.placement import Placement
+from stereo_depth_ros.ranging.projection import project
 from stereo_depth_ros.synthetic.bag import write_synthetic_bag
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
@@ -344,6 +352,60 @@ def _run_serialized(case: tuple[str, bytes], _: Path) -> None:
     else:
         image_size(message)
         decode(message)
+
+
+@functools.cache
+def _of_sensors() -> tuple[tuple[str, bytes], ...]:
+    points = np.random.default_rng(1).uniform(-5, 5, (40, 3)).astype(np.float32)
+    timed = np.zeros(30, np.dtype([("x", "<f8"), ("y", "<f4"), ("ring", "<u2"), ("z", "<f8"), ("time", "<f4")]))
+    messages = (
+        xyz_cloud(points),
+        cloud(timed.reshape(5, 6), row_padding=3),
+        laser_scan(np.linspace(0, 14, 40, dtype=np.float32)),
+        depth_image(np.linspace(0, 3, WIDTH * HEIGHT, dtype=np.float32).reshape(HEIGHT, WIDTH), "16UC1"),
+    )
+    return tuple((message.__msgtype__, RosbagsTypes().serialize(message)) for message in messages)
+
+
+def _damaged_sweep(seed: int) -> tuple[str, bytes]:
+    random = np.random.default_rng(seed)
+    msgtype, data = _of_sensors()[int(random.integers(len(_of_sensors())))]
+    return msgtype, mutated(data[:240], random) + data[240:] if random.integers(4) else mutated(data, random)
+
+
+def _run_sweep(case: tuple[str, bytes], _: Path) -> None:
+    """Its points, moved with a turning sensor, in the image."""
+    rig, turned = _sequence().rig, Pose.from_quaternion(np.array([0.1, 0, 0.2, 0.9]), np.array([0.3, 0, 0]))
+    points = range_points(RosbagsTypes().deserialize(case[1], case[0]), "/sensor", rig.left)
+    assert np.isfinite(points.points_m).all()
+    tree = Transforms()
+    for stamp in (-(2**62), 2**62):
+        tree.add("odom", rig.frame_id, turned if stamp > 0 else Pose.identity(), stamp)
+    tree.add(rig.frame_id, points.frame_id, turned)
+    placed = Placement(tree).place(points, rig, 10**9)
+    seen = project(placed, points.sigma_m, turned, Triangulation.from_rig(rig), (WIDTH, HEIGHT))
+    assert seen.visible == np.count_nonzero(np.isfinite(seen.disparity_px))
+
+
+_POSES = (
+    b"parent: mast\nchild: lidar\ntranslation: [1.0, 2.0, -0.5]\nquaternion: [0.6, 0, 0, 0.8]\n",
+    b"transforms:\n- header: {frame_id: mast}\n  child_frame_id: lidar\n  transform:\n"
+    b"    translation: {x: 1, y: 2, z: 3}\n    rotation: {x: 0, y: 0, z: 0, w: 1}\n",
+    b"matrix: [[1, 0, 0, 1], [0, 0.28, -0.96, 2], [0, 0.96, 0.28, -0.5]]\n",
+    b"R: 0 -1 0 0 0 -1 1 0 0\nT: 0.1 0.2 0.3\n",
+    b"P0: 7 0 6 0 0 7 1 0 0 0 1 0\nTr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n",
+)
+
+
+def _damaged_pose(seed: int) -> tuple[str, bytes]:
+    random = np.random.default_rng(seed)
+    at = int(random.integers(len(_POSES)))
+    return "pose.yaml" if at < 3 else "calib.txt", _edited(_POSES[at], random)
+
+
+def _run_pose(case: tuple[str, bytes], folder: Path) -> None:
+    (folder / case[0]).write_bytes(case[1])
+    assert np.isfinite(read_extrinsics(folder / case[0]).parent_from_child.matrix).all()
 
 
 # ---- bags
@@ -868,6 +930,8 @@ TARGETS: tuple[Target, ...] = (
     ),
     Target("disparity image", _DISPARITIES, _run_disparity, (_PLAIN_DISPARITY,)),
     Target("serialized messages", _SEEDS.map(_damaged_message), _run_serialized, examples=200),
+    Target("range sensors", _SEEDS.map(_damaged_sweep), _run_sweep, examples=200),
+    Target("poses of range sensors", _SEEDS.map(_damaged_pose), _run_pose, examples=150),
     Target("bags", _SEEDS.map(_damaged_bag), _run_bag, examples=40),
     Target("metadata of bags", _SEEDS.map(_damaged_metadata), _run_metadata, (_laughs(30),), examples=40),
     Target("datasets", _SEEDS.map(_damaged_dataset), _run_dataset, (("kitti", {}),), examples=150),

@@ -98,7 +98,7 @@ def test_without_a_transform_both_frames_are_named(tmp_path: Path) -> None:
 def test_other_topics_are_refused(tmp_path: Path) -> None:
     write_range_bag(tmp_path / "bag.mcap")
     for topic, text in (
-        ("/radar", f"has no topic /radar: choose among .*{TOPIC}"),
+        ("/radar", f"has no topic /radar: choose among {TOPIC}$"),
         ("/left/camera_info", "/left/camera_info is sensor_msgs/msg/CameraInfo, not a range sensor"),
     ):
         with pytest.raises(TopicError, match=text):

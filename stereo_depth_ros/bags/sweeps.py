@@ -97,7 +97,11 @@ class Sweeps:
 
 
 def _checked_type(reader: BagReader, topic: str) -> str:
-    of_sensors = [name for name, info in reader.topics.items() if info.msgtype in RANGE_TYPES]
+    of_sensors = [
+        name
+        for name, info in reader.topics.items()
+        if info.msgtype in RANGE_TYPES and (info.msgtype != IMAGE_TYPE or "depth" in name)
+    ]
     found = reader.topics.get(topic)
     if found is None or found.msgtype not in RANGE_TYPES:
         problem = f"has no topic {topic}" if found is None else f"{topic} is {found.msgtype}, not a range sensor"

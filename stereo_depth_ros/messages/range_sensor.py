@@ -99,8 +99,8 @@ def cloud_points(msg: Any, topic: str = "", sigma_m: float = DEFAULT_SIGMA_M) ->
     ).ravel()
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.stack([records[name].astype(np.float32) for name in "xyz"], axis=1).reshape(-1, 3)
+        returned = np.asarray((points != 0).any(axis=1), np.bool_)
     finite = np.asarray(np.isfinite(points).all(axis=1), np.bool_)
-    returned = np.asarray(points.any(axis=1), np.bool_)
     kept = finite & returned
     dropped = {"not finite": _count(~finite), "at the origin": _count(~returned)}
     stamp = stamp_ns(msg.header, topic)
@@ -132,20 +132,22 @@ def scan_points(msg: Any, topic: str = "", sigma_m: float = DEFAULT_SIGMA_M) -> 
             limit="finite numbers",
             remedy="check its publisher",
         )
-    ranges = np.asarray(msg.ranges, np.float64)
+    with np.errstate(invalid="ignore"):  # some patterns of NaN are reported when they are converted
+        ranges = np.asarray(msg.ranges, np.float64)
     finite = np.isfinite(ranges)
     inside = finite & (ranges >= msg.range_min) & (ranges <= msg.range_max) & (ranges > 0)
     rays = np.flatnonzero(inside)
     angle = msg.angle_min + rays * float(msg.angle_increment)
     points = np.stack([ranges[rays] * np.cos(angle), ranges[rays] * np.sin(angle), np.zeros(rays.size)], axis=1)
-    times = np.rint(rays * (float(msg.time_increment) * NS_PER_S)).astype(np.int64)
+    increment_ns = float(msg.time_increment) * NS_PER_S
+    has_times = 0 < abs(increment_ns) * ranges.size <= _LONGEST_NS
     dropped = {"not finite": _count(~finite), "out of range": _count(finite & ~inside)}
     return SensorPoints(
-        points.astype(np.float32),
+        points.astype(np.float32),  # finite: ranges are float32
         sigma_m,
         stamp_ns(msg.header, topic),
         msg.header.frame_id,
-        times if msg.time_increment else None,
+        np.rint(rays * increment_ns).astype(np.int64) if has_times else None,
         _counted(dropped),
     )
 
@@ -215,8 +217,8 @@ def depth_pixels(msg: Any, topic: str = "") -> F32:
         )
     rows = np.frombuffer(msg.data, np.uint8, needed).reshape(msg.height, msg.step)
     levels = np.ascontiguousarray(rows[:, : dtype.itemsize * msg.width]).view(dtype)
-    depth_m = levels.astype(np.float32) * np.float32(meters)
     with np.errstate(invalid="ignore"):
+        depth_m = levels.astype(np.float32) * np.float32(meters)
         depth_m[~((depth_m > 0) & np.isfinite(depth_m))] = np.nan
     return depth_m
 
@@ -265,12 +267,15 @@ def _times(records: npt.NDArray[Any], stamp: int) -> I64 | None:
     if values.dtype.kind in "iu":
         times: F64 = values.astype(np.float64)
     else:
-        seconds: F64 = np.nan_to_num(values.astype(np.float64))
-        unit = 1.0 if abs(seconds).max() > _CLOCK_NS else NS_PER_S
-        of_clock = abs(seconds).max() > _CLOCK_S
+        with np.errstate(invalid="ignore"):
+            seconds: F64 = np.nan_to_num(values.astype(np.float64), posinf=0.0, neginf=0.0)
+        largest = abs(seconds).max()
+        unit = 1.0 if largest > _CLOCK_NS else NS_PER_S
+        of_clock = largest > _CLOCK_S
         whole, part = divmod(stamp, NS_PER_S)
         origin = (whole if unit != 1.0 else stamp) if of_clock else 0
-        times = (seconds - origin) * unit - (part if of_clock and unit != 1.0 else 0)
+        with np.errstate(over="ignore"):
+            times = (seconds - origin) * unit - (part if of_clock and unit != 1.0 else 0)
     if abs(times).max() > _LONGEST_NS:
         return None
     return np.rint(times).astype(np.int64)
