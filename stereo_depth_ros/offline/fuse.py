@@ -151,7 +151,7 @@ def fuse_sequence(
     report.up /= max(float(np.linalg.norm(report.up)), 1e-12)
     report.apart = statistics.median(aparts) if aparts else math.nan
     report.integrate_ms = statistics.median(times_ms)
-    report.warnings = [*sequence.warnings, *refused.values(), *_warnings(report, volume.voxel_m)]
+    report.warnings = [*poses.warnings, *sequence.warnings, *refused.values(), *_warnings(report, volume.voxel_m)]
     if sequence.fault is not None:
         report.warnings.append(str(sequence.fault))
     return report
