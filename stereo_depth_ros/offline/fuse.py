@@ -178,7 +178,7 @@ def _is_about_poses(error: StereoDepthError) -> bool:
 
 def _origin(pose: Pose) -> F64:
     """What is subtracted from poses far from the origin of their world, in whole meters."""
-    far = float(np.linalg.norm(pose.translation_m)) > _FAR_M
+    far = float(np.abs(pose.translation_m).max()) > _FAR_M
     return np.rint(pose.translation_m) if far else np.zeros(3)
 
 
