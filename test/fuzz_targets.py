@@ -76,6 +76,7 @@ from stereo_depth_ros.datasets.image_files import read_disparity_image, read_ima
 from stereo_depth_ros.datasets.kitti import KittiDataset
 from stereo_depth_ros.datasets.middlebury import MiddleburyDataset
 from stereo_depth_ros.datasets.npz import read_npz
+from stereo_depth_ros.datasets.pose_files import read_poses
 from stereo_depth_ros.diagnosis.bag_survey import survey_bag
 from stereo_depth_ros.diagnosis.checks.cameras import check_camera
 from stereo_depth_ros.diagnosis.doctor import diagnose
@@ -705,6 +706,25 @@ def _run_calibration(case: tuple[str, bytes], folder: Path) -> None:
     assert rig.baseline_m > 0
 
 
+_POSES = (
+    b"1 0 0 0 0 1 0 0 0 0 1 0\n0.8 0 0.6 1.5 0 1 0 -0.25 -0.6 0 0.8 30\n",
+    b"#timestamp, p_x [m], ...\n1403715273262142976,1,2,3,1,0,0,0\n1403715273272142976,1,2,3,0.8,0,0.6,0,9,9\n",
+    b"# t x y z qx qy qz qw\n1403715273.25 1 2 3 0 0 0 1\n1403715273.35 1.5 2 3 0 0.6 0 0.8\n",
+)
+
+
+def _damaged_poses(seed: int) -> bytes:
+    random = np.random.default_rng(seed)
+    return _edited(_POSES[int(random.integers(len(_POSES)))], random)
+
+
+def _run_poses(case: bytes, folder: Path) -> None:
+    (folder / "poses.txt").write_bytes(case)
+    poses = read_poses(folder / "poses.txt")
+    assert all(len(keys) in (0, len(poses.poses)) for keys in (poses.stamps_ns, poses.numbers))
+    assert all(abs(np.linalg.det(pose.rotation) - 1) < 1e-6 for pose in poses.poses)
+
+
 # ---- parameters
 
 _PARAMETER_FILE = b"""/**:
@@ -774,6 +794,7 @@ _NAMES = st.sampled_from(
         "kitti",
         "calibrate",
         "rectify",
+        "fuse",
         "nothing",
     )
 )
@@ -787,6 +808,8 @@ _OPTIONS = st.sampled_from(
         "--start",
         "--duration",
         "--size",
+        "--poses",
+        "--voxel",
         "--rate",
         "--output",
         "--help",
@@ -936,6 +959,7 @@ TARGETS: tuple[Target, ...] = (
     Target("metadata of bags", _SEEDS.map(_damaged_metadata), _run_metadata, (_laughs(30),), examples=40),
     Target("datasets", _SEEDS.map(_damaged_dataset), _run_dataset, (("kitti", {}),), examples=150),
     Target("calibrations", _SEEDS.map(_damaged_calibration), _run_calibration, (), examples=200),
+    Target("poses", _SEEDS.map(_damaged_poses), _run_poses, _POSES, examples=200),
     Target("npz", _SEEDS.map(_damaged_npz), _run_npz, _HUGE_HEADERS),
     Target("image files", _mutated_of(_encoded), _run_image_file, (_png_of(20_000, 20_000), b"P5 60000 60000 255\n")),
     Target(

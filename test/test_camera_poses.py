@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of the left rectified camera: over time, in a tree of frames, of topics and of files."""
+"""Poses of the left rectified camera: of topics and of files."""
 
 from __future__ import annotations
 
@@ -29,48 +29,12 @@ from stereo_bags import sequence
 
 from stereo_depth_ros.bags.poses import pose_topics, read_bag_poses
 from stereo_depth_ros.core.errors import BagError, ConfigError, MessageError, TopicError
-from stereo_depth_ros.core.frame_tree import FrameTree
 from stereo_depth_ros.core.pose import Pose
-from stereo_depth_ros.core.pose_track import PoseTrack
 from stereo_depth_ros.datasets.posed import PosedDataset
 from stereo_depth_ros.offline.camera_poses import CameraPoses, poses_of_file, poses_of_topic
 
 FRAMES, GAP_NS = 3, 500_000_000
 SHIFT = Pose(np.identity(3), np.array([1.0, 0.0, 0.0]))
-
-
-def test_between_two_poses_but_not_in_a_gap_nor_outside() -> None:
-    track = PoseTrack(100)
-    for stamp in (5_000_300, 5_000_000, 5_000_100, 9_000_000):
-        track.add(stamp, Pose(np.identity(3), np.array([float(stamp), 0, 0])))
-    for stamp in (5_000_000, 5_000_050, 5_000_300):
-        found = track.at(stamp)
-        assert found is not None and found.translation_m[0] == pytest.approx(stamp)
-    # a millisecond is a rounded stamp: the nearest pose
-    for stamp, expected in ((5_000_210, 5_000_300), (4_000_001, 5_000_000), (9_900_000, 9_000_000)):
-        found = track.at(stamp)
-        assert found is not None and found.translation_m[0] == expected
-    assert [track.at(stamp) for stamp in (3_999_999, 6_500_000, 10_000_001)] == [None] * 3
-    assert (track.span_ns, len(track), PoseTrack(1).at(0)) == ((5_000_000, 9_000_000), 4, None)
-
-
-def test_a_tree_of_frames() -> None:
-    frames = FrameTree(100)
-    frames.add("/map", "odom", SHIFT, 0)
-    frames.add("map", "odom", SHIFT @ SHIFT, 100)
-    frames.add("odom", "/base", BASE_FROM_CAMERA)
-    frames.add("odom", "lamp", SHIFT)
-    found = frames.pose("map", "base", 50)
-    assert found is not None
-    np.testing.assert_allclose(found.translation_m, BASE_FROM_CAMERA.translation_m + np.array([1.5, 0, 0]))
-    across = frames.pose("lamp", "base", 2_000_000)  # the moving link is not on the way
-    assert across is not None
-    np.testing.assert_allclose(across.matrix, (SHIFT.inverse() @ BASE_FROM_CAMERA).matrix)
-    assert frames.pose("map", "base", 2_000_000) is None and frames.pose("map", "moon", 50) is None
-    assert frames.path("base") == ["base", "odom", "map"] and frames.frames == ["base", "lamp", "map", "odom"]
-    assert frames.moves("base", "map") and not frames.moves("base", "odom")
-    frames.add("base", "map", SHIFT)  # a loop
-    assert len(frames.path("base")) == 3
 
 
 def expected(stamp_ns: int) -> Pose:
@@ -128,13 +92,13 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_topics(bag: Path, topic: str, frame: str | None, world: str | None, world_from_map: Pose | None) -> None:
-    check(poses_of_topic(topic, read_bag_poses(bag, topic, GAP_NS), frame, world), world_from_map)
+    check(poses_of_topic(topic, read_bag_poses(bag, topic, GAP_NS), GAP_NS, frame, world), world_from_map)
 
 
 def test_rectified_poses_are_taken_as_they_are(bag: Path) -> None:
     made, poses = sequence(FRAMES), read_bag_poses(bag, "/camera_pose", GAP_NS)
     stamp_ns = made.stamp_ns(1)
-    found = poses_of_topic("/camera_pose", poses, "rectified").at(1, stamp_ns, FRAME, made.rig)
+    found = poses_of_topic("/camera_pose", poses, GAP_NS, "rectified").at(1, stamp_ns, FRAME, made.rig)
     assert found is not None
     np.testing.assert_allclose(found.matrix, (MAP_FROM_SCENE @ camera_pose(stamp_ns)).matrix, atol=2e-4)
 
@@ -145,18 +109,18 @@ def test_topics_that_do_not_reach_the_camera(bag: Path, tmp_path: Path) -> None:
     with pytest.raises(TopicError, match="is not a topic of poses; the bag has /base_pose, /camera_pose"):
         read_bag_poses(bag, "/left/image_raw", GAP_NS)
     arguments = (1, made.stamp_ns(1), FRAME, made.rig)
-    lost = poses_of_topic("/base_pose", read_bag_poses(bag, "/base_pose", GAP_NS), "gripper")
+    lost = poses_of_topic("/base_pose", read_bag_poses(bag, "/base_pose", GAP_NS), GAP_NS, "gripper")
     with pytest.raises(TopicError, match="those of gripper, and /tf_static does not connect it") as caught:
         lost.at(*arguments)
     assert caught.value.settings == ("pose_frame",) and "base_link" in caught.value.problem
     for world, problem in (("base_link", "does not move in base_link"), ("moon", "is not below moon")):
-        fast = poses_of_topic("/tf", read_bag_poses(bag, "/tf", GAP_NS), None, world)
+        fast = poses_of_topic("/tf", read_bag_poses(bag, "/tf", GAP_NS), GAP_NS, None, world)
         with pytest.raises(TopicError, match=problem):
             fast.at(*arguments)
     with pytest.raises(ConfigError, match="pose_frame has no effect"):
-        poses_of_topic("/tf", read_bag_poses(bag, "/tf", GAP_NS), "camera")
+        poses_of_topic("/tf", read_bag_poses(bag, "/tf", GAP_NS), GAP_NS, "camera")
     with pytest.raises(ConfigError, match="world_frame has no effect"):
-        poses_of_topic("/odom", read_bag_poses(bag, "/odom", GAP_NS), None, "map")
+        poses_of_topic("/odom", read_bag_poses(bag, "/odom", GAP_NS), GAP_NS, None, "map")
     several = write_bag(
         tmp_path / "several.mcap",
         1,

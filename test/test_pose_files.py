@@ -74,6 +74,7 @@ def test_formats(tmp_path: Path, name: str) -> None:
         ([" ".join(words(2 * POSE.matrix[:3]))], "not a rotation"),
         ([" ".join(words(-POSE.matrix[:3]))], "not a rotation"),
         (["12.5 1 2 3 0.1 0.2 0.3 0.4"], "quaternion of length 0.5477"),
+        ([MATRIX.replace(" 30", " -1e200")], "has the number -1e"),
         (["-2 1 2 3 0 0 0 1"], "outside"),
         (["1e300 1 2 3 0 0 0 1"], "outside"),
     ],

@@ -117,3 +117,36 @@ def test_another_parent_replaces_the_old_one() -> None:
     tree.add("mast", "lidar", BODY_LIDAR)
     with pytest.raises(TransformError, match="no transform"):
         tree.pose("camera", "lidar", 0)
+
+
+def test_not_in_a_gap_and_within_a_rounded_stamp() -> None:
+    tree = Transforms(max_gap_ns=100, rounding_ns=1000)
+    for stamp in (5_000_300, 5_000_000, 5_000_100, 9_000_000):
+        tree.add("map", "camera", moved(stamp), stamp)
+    tree.add("camera", "lens", moved(3))
+
+    def x(stamp_ns: int, frame: str = "camera") -> float | None:
+        found = tree.find("map", frame, stamp_ns)
+        return None if found is None else float(found.translation_m[0])
+
+    assert [x(stamp) for stamp in (5_000_000, 5_000_050, 5_000_300)] == [5_000_000, 5_000_050, 5_000_300]
+    assert [x(stamp) for stamp in (5_000_210, 4_999_001, 9_001_000)] == [5_000_300, 5_000_000, 9_000_000]
+    assert [x(stamp) for stamp in (4_998_999, 6_500_000, 9_001_001)] == [None] * 3
+    assert x(5_000_050, "lens") == 5_000_053
+    with pytest.raises(TransformError, match="in a gap of"):
+        tree.pose("map", "camera", 6_500_000)
+    with pytest.raises(TransformError, match="no transform from"):
+        tree.find("map", "moon", 5_000_000)
+
+
+def test_what_is_above_a_frame_and_moves() -> None:
+    tree = Transforms()
+    tree.add("map", "odom", moved(1))
+    tree.add("odom", "/base", moved(2), 7)
+    tree.add("base", "camera", moved(3))
+    assert tree.ancestors("/camera") == ["camera", "base", "odom", "map"]
+    assert [tree.moves(above, "camera") for above in ("camera", "base", "/odom", "map")] == [False, False, True, True]
+
+
+def moved(x_m: float) -> Pose:
+    return Pose(np.identity(3), np.array([float(x_m), 0.0, 0.0]))

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stereo_depth_ros.bags.reader import BagReader
+from stereo_depth_ros.bags.transforms import STATIC_TOPIC, read_transforms
 from stereo_depth_ros.core.errors import TopicError
-from stereo_depth_ros.core.frame_tree import FrameTree, frame_name
-from stereo_depth_ros.core.pose_track import PoseTrack
-from stereo_depth_ros.messages.motion import POSE_TYPES, TREE_TYPE, stamped_pose, tree_poses
+from stereo_depth_ros.core.pose import Pose
+from stereo_depth_ros.core.transforms import Transforms
+from stereo_depth_ros.messages.motion import POSE_TYPES, TREE_TYPE, stamped_pose
 
 __all__ = ["BagPoses", "pose_topics", "read_bag_poses"]
-
-_FIXED_TOPIC, _TREE_TOPIC = "tf_static", "tf"
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,18 +22,19 @@ class BagPoses:
     """Poses of a topic.
 
     Attributes:
-        track: poses over time, from ``child`` to ``parent``; empty of a topic of transforms.
+        poses: stamps in nanoseconds, and poses from ``child`` to ``parent``; empty of a topic of transforms.
         parent, child: names of the frames; ``child`` is empty where the topic does not tell it.
-        tree: the frames of the bag: of /tf_static, and of the topic where it is one of transforms, else of /tf where
-            the fixed ones are not all.
+        tree: the frames of the bag, of all its transforms and odometry.
         is_tree: the poses are those of the tree.
+        warning: what of the transforms is left out; empty where nothing is.
     """
 
-    track: PoseTrack
+    poses: list[tuple[int, Pose]]
     parent: str
     child: str
-    tree: FrameTree
+    tree: Transforms
     is_tree: bool
+    warning: str
 
 
 def pose_topics(path: Path) -> dict[str, str]:
@@ -47,7 +47,7 @@ def pose_topics(path: Path) -> dict[str, str]:
         return {
             name: info.msgtype
             for name, info in reader.topics.items()
-            if info.count and info.msgtype in (*POSE_TYPES, TREE_TYPE) and not name.endswith(_FIXED_TOPIC)
+            if info.count and info.msgtype in (*POSE_TYPES, TREE_TYPE) and not name.endswith(STATIC_TOPIC)
         }
 
 
@@ -58,7 +58,7 @@ def read_bag_poses(path: Path, topic: str, max_gap_ns: int) -> BagPoses:
         path: the bag.
         topic: of one of the types nav_msgs/Odometry, geometry_msgs/PoseStamped, PoseWithCovarianceStamped,
             TransformStamped, or tf2_msgs/TFMessage.
-        max_gap_ns: longest time between two poses between which others are interpolated.
+        max_gap_ns: longest time between two transforms between which others are interpolated.
 
     Raises:
         BagError: not a readable bag.
@@ -76,21 +76,13 @@ def read_bag_poses(path: Path, topic: str, max_gap_ns: int) -> BagPoses:
             settings=("poses",),
         )
     is_tree = found[topic] == TREE_TYPE
-    tree, track, names = FrameTree(max_gap_ns), PoseTrack(max_gap_ns), None
+    poses, names = [], None
     with BagReader(path) as reader:
-        trees = [name for name, info in reader.topics.items() if info.msgtype == TREE_TYPE]
-        fixed = [name for name in trees if name.endswith(_FIXED_TOPIC)]
-        moving = [topic] if is_tree else [name for name in trees if name.endswith(_TREE_TOPIC)]
-        for message in reader.messages(moving):
-            for each in tree_poses(reader.deserialize(message), message.topic):
-                tree.add(each.parent, each.child, each.pose, each.stamp_ns)
-        for message in reader.messages(fixed):
-            for each in tree_poses(reader.deserialize(message), message.topic):
-                tree.add(each.parent, each.child, each.pose)
+        transforms = read_transforms(reader, max_gap_ns=max_gap_ns)
         for message in [] if is_tree else reader.messages([topic]):
             each = stamped_pose(reader.deserialize(message), message.msgtype, topic)
-            track.add(each.stamp_ns, each.pose)
-            own = frame_name(each.parent), frame_name(each.child)
+            poses.append((each.stamp_ns, each.pose))
+            own = each.parent.removeprefix("/"), each.child.removeprefix("/")
             if names is not None and own != names:
                 raise TopicError(
                     f"{topic} holds poses of several frames: {names[1] or names[0]} and {own[1] or own[0]}",
@@ -102,4 +94,6 @@ def read_bag_poses(path: Path, topic: str, max_gap_ns: int) -> BagPoses:
                 )
             names = own
     parent, child = names or ("", "")
-    return BagPoses(track, parent, child, tree, is_tree)
+    lost = transforms.left_out
+    warning = f"{lost} messages with transforms are left out, the first one: {transforms.first}" if lost else ""
+    return BagPoses(poses, parent, child, transforms.tree, is_tree, warning)

@@ -38,15 +38,19 @@ class BagTransforms:
     first: str
 
 
-def read_transforms(reader: BagReader) -> BagTransforms:
+def read_transforms(reader: BagReader, *, max_gap_ns: int | None = None) -> BagTransforms:
     """All poses of /tf_static, /tf, topics of the same type with these ends of their names, and odometry.
 
     Odometry adds the frames that have no parent otherwise. Messages that are damaged are left out and counted.
 
+    Args:
+        reader: the bag.
+        max_gap_ns: as of :class:`Transforms`.
+
     Raises:
         BagError: the bag is damaged where it is read.
     """
-    tree, odometry = Transforms(), Transforms()
+    tree, odometry = Transforms(max_gap_ns=max_gap_ns), Transforms(max_gap_ns=max_gap_ns)
     names = {name: info.msgtype for name, info in reader.topics.items() if info.count}
     used = [name for name, kind in names.items() if kind == TREE_TYPE and name.endswith((STATIC_TOPIC, TOPIC))]
     used += [name for name, kind in names.items() if kind == ODOMETRY_TYPE]

@@ -299,7 +299,7 @@ def _poses_of_bag(
                 settings=("poses",),
             )
         poses = single[0]
-    return poses_of_topic(poses, read_bag_poses(bag, poses, max_gap_ns), pose_frame, world_frame)
+    return poses_of_topic(poses, read_bag_poses(bag, poses, max_gap_ns), max_gap_ns, pose_frame, world_frame)
 
 
 @dataclass(frozen=True)

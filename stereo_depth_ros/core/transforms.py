@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import bisect
+import itertools
 from dataclasses import dataclass, field
 
 from stereo_depth_ros.core.errors import TransformError
@@ -35,6 +36,10 @@ class _Link:
     poses: list[Pose] = field(default_factory=list)
 
 
+class _NoPoseError(TransformError):
+    """The frames are connected, but no pose is known at this time."""
+
+
 class Transforms:
     """Poses of frames in their parents, as tf2 buffers them.
 
@@ -43,10 +48,14 @@ class Transforms:
 
     Args:
         keep_ns: how long poses are kept, nanoseconds before the newest one of their frame; None keeps all.
+        max_gap_ns: longest time between two poses between which others are interpolated; None is any.
+        rounding_ns: where there is none at a time, the nearest one counts within this time, as stamps are rounded.
     """
 
-    def __init__(self, keep_ns: int | None = None) -> None:
+    def __init__(self, keep_ns: int | None = None, *, max_gap_ns: int | None = None, rounding_ns: int = 0) -> None:
         self._keep_ns = keep_ns
+        self._max_gap_ns = max_gap_ns
+        self._rounding_ns = rounding_ns
         self._links: dict[str, _Link] = {}
 
     @property
@@ -95,6 +104,32 @@ class Transforms:
             TransformError: the frames are not connected, or not at this time.
         """
         return self.pose_between(target, stamp_ns, source, stamp_ns)
+
+    def find(self, target: str, source: str, stamp_ns: int) -> Pose | None:
+        """As :meth:`pose`, but None where the frames are connected and no pose is known at this time.
+
+        Raises:
+            TransformError: the frames are not connected.
+        """
+        self.motion_known(target, source)
+        try:
+            return self.pose(target, source, stamp_ns)
+        except _NoPoseError:
+            return None
+
+    def ancestors(self, frame: str) -> list[str]:
+        """The frame, its parent and so on up to the root.
+
+        Raises:
+            TransformError: they are a loop.
+        """
+        return self._ancestors(frame)
+
+    def moves(self, above: str, frame: str) -> bool:
+        """Whether a pose between a frame and one of its ancestors has a stamp."""
+        return any(
+            self._links[name].fixed is None for name in itertools.takewhile(_name(above).__ne__, self._ancestors(frame))
+        )
 
     def pose_between(self, target: str, target_ns: int, source: str, source_ns: int) -> Pose:
         """The pose from ``source`` at one time to ``target`` at another one.
@@ -153,20 +188,35 @@ class Transforms:
         if link.fixed is not None:
             return link.fixed
         after = bisect.bisect_left(link.stamps_ns, stamp_ns)
-        if after < len(link.stamps_ns) and link.stamps_ns[after] == stamp_ns:
-            return link.poses[after]
-        if after == 0 or after == len(link.stamps_ns):
-            nearest_ns = link.stamps_ns[0] if after == 0 else link.stamps_ns[-1]
+        nearest = min(
+            (n for n in (after, after - 1) if 0 <= n < len(link.stamps_ns)),
+            key=lambda n: abs(link.stamps_ns[n] - stamp_ns),
+        )
+        off_ns, outside = abs(link.stamps_ns[nearest] - stamp_ns), after in (0, len(link.stamps_ns))
+        gap_ns = 0 if outside else link.stamps_ns[after] - link.stamps_ns[after - 1]
+        in_gap = self._max_gap_ns is not None and gap_ns > self._max_gap_ns
+        if off_ns == 0 or ((outside or in_gap) and off_ns <= self._rounding_ns):
+            return link.poses[nearest]
+        if in_gap:
+            raise _NoPoseError(
+                f"the transform from {quoted(name)} to {quoted(link.parent)} is asked for in a gap of "
+                f"{gap_ns / 1e9:.3f} s",
+                value=gap_ns,
+                limit=self._max_gap_ns,
+                remedy="allow longer gaps, or record it more often",
+                settings=("max_gap",),
+            )
+        if outside:
+            nearest_ns = link.stamps_ns[nearest]
             when = "before its first" if after == 0 else "after its last"
-            raise TransformError(
+            raise _NoPoseError(
                 f"the transform from {quoted(name)} to {quoted(link.parent)} is asked for "
                 f"{abs(stamp_ns - nearest_ns) / 1e9:.3f} s {when} stamp",
                 value=stamp_ns,
                 limit=(link.stamps_ns[0], link.stamps_ns[-1]),
                 remedy="publish or record /tf for the whole time of the images, with the same clock",
             )
-        start, end = link.stamps_ns[after - 1], link.stamps_ns[after]
-        return link.poses[after - 1].interpolate(link.poses[after], (stamp_ns - start) / (end - start))
+        return link.poses[after - 1].interpolate(link.poses[after], (stamp_ns - link.stamps_ns[after - 1]) / gap_ns)
 
     def _insert(self, link: _Link, stamp_ns: int, pose: Pose) -> None:
         at = bisect.bisect_left(link.stamps_ns, stamp_ns)

@@ -28,6 +28,7 @@ KITTI, EUROC, TUM = "KITTI", "EuRoC", "TUM"
 _MOST_BYTES = 2**28
 _NANOSECONDS = 1e14  # numbers above it are not seconds
 _END_NS = 2**63 - 1
+_LARGEST = 1e9  # of the numbers of a pose, meters
 _NOT_RIGID = 0.02  # largest difference of R^T R from 1, and of the length of a quaternion from 1
 _REMEDY = (
     "give poses of KITTI (12 numbers a row, three rows of a matrix), of EuRoC (CSV: nanoseconds, x, y, z, qw, qx, qy, "
@@ -120,6 +121,8 @@ def _numbers(path: Path, line: int, words: list[str]) -> F64:
         raise _wrong(path, line, "has a word that is not a number") from error
     if not np.isfinite(values).all():
         raise _wrong(path, line, "has a number that is not finite")
+    if values.size > 1 and np.abs(values).max() > _LARGEST:
+        raise _wrong(path, line, f"has the number {values[np.abs(values).argmax()]:g}, {_LARGEST:g} is the largest")
     return values
 
 

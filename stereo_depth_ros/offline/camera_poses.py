@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TypeAlias
 
@@ -12,16 +12,17 @@ import numpy as np
 
 from stereo_depth_ros.bags.poses import BagPoses
 from stereo_depth_ros.core.errors import BagError, ConfigError, TopicError
-from stereo_depth_ros.core.frame_tree import FrameTree, frame_name
 from stereo_depth_ros.core.pose import Pose
-from stereo_depth_ros.core.pose_track import PoseTrack
 from stereo_depth_ros.core.rig import Rig
+from stereo_depth_ros.core.transforms import Transforms
 from stereo_depth_ros.datasets.pose_files import EUROC, KITTI, PoseFile, read_poses
 from stereo_depth_ros.datasets.posed import PosedDataset, sensor_in_body
 
 __all__ = ["BODY", "CAMERA", "RECTIFIED", "CameraPoses", "poses_of_file", "poses_of_topic"]
 
 CAMERA, RECTIFIED, BODY = "camera", "rectified", "body"
+_WORLD, _POSED = "world", "posed"  # frames of poses over time
+_ROUNDING_NS = 1_000_000  # stamps in text files may have three decimals
 _NAMES = f"{CAMERA} (the left camera), {RECTIFIED} (the left camera after rectification) or {BODY}"
 
 # Pose of the left camera by frame number, stamp and frame of the image
@@ -37,13 +38,23 @@ class CameraPoses:
         rectified: that camera is the rectified one.
         text: what the poses are of, in words.
         files: what is read.
+        warnings: what is left out, a sentence each.
     """
 
-    def __init__(self, lookup: _Lookup, *, rectified: bool, text: str, files: tuple[Path, ...] = ()) -> None:
+    def __init__(
+        self,
+        lookup: _Lookup,
+        *,
+        rectified: bool,
+        text: str,
+        files: tuple[Path, ...] = (),
+        warnings: tuple[str, ...] = (),
+    ) -> None:
         self._lookup = lookup
         self._rectified = rectified
         self.text = text
         self.files = files
+        self.warnings = warnings
 
     def at(self, number: int, stamp_ns: int, frame_id: str, rig: Rig | None) -> Pose | None:
         """The pose for a pair, or without a rig for a camera without lens distortion; None where it is not known.
@@ -128,10 +139,7 @@ def _finder(path: Path, file: PoseFile, max_gap_ns: int, of: PosedDataset | None
                 remedy="give a file with a row for each pair, or a bag",
                 settings=("poses",),
             )
-        track = PoseTrack(max_gap_ns)
-        for stamp_ns, pose in zip(file.stamps_ns, file.poses, strict=True):
-            track.add(stamp_ns, pose)
-        return lambda number, stamp_ns, frame_id: track.at(stamp_ns)
+        return _over_time(zip(file.stamps_ns, file.poses, strict=True), max_gap_ns)
     if file.numbers:
         by_number = dict(zip(file.numbers, file.poses, strict=True))
         return lambda number, stamp_ns, frame_id: by_number.get(number)
@@ -152,16 +160,27 @@ def _finder(path: Path, file: PoseFile, max_gap_ns: int, of: PosedDataset | None
     return lambda number, stamp_ns, frame_id: _row(poses, shift.get(number, number))
 
 
+def _over_time(poses: Iterable[tuple[int, Pose]], max_gap_ns: int) -> _Lookup:
+    """Poses by time, interpolated."""
+    track = Transforms(max_gap_ns=max_gap_ns, rounding_ns=_ROUNDING_NS)
+    for stamp_ns, pose in poses:
+        track.add(_WORLD, _POSED, pose, stamp_ns)
+    return lambda number, stamp_ns, frame_id: track.find(_WORLD, _POSED, stamp_ns)
+
+
 def _row(poses: list[Pose], row: int) -> Pose | None:
     return poses[row] if row < len(poses) else None
 
 
-def poses_of_topic(topic: str, poses: BagPoses, frame: str | None = None, world: str | None = None) -> CameraPoses:
+def poses_of_topic(
+    topic: str, poses: BagPoses, max_gap_ns: int, frame: str | None = None, world: str | None = None
+) -> CameraPoses:
     """Poses of a topic of the bag.
 
     Args:
         topic: its name.
         poses: of it.
+        max_gap_ns: longest time between two poses between which others are interpolated.
         frame: what the poses are of: CAMERA, RECTIFIED, or a frame of the tree; None takes what the messages tell,
             and CAMERA where they tell nothing.
         world: frame of the result, of a topic of transforms; None takes the root of the tree.
@@ -176,24 +195,24 @@ def poses_of_topic(topic: str, poses: BagPoses, frame: str | None = None, world:
             raise ConfigError(
                 f"{name} has no effect: {topic} holds {kind}", value=value, remedy="leave it out", settings=(name,)
             )
+    warnings = (poses.warning,) if poses.warning else ()
     if poses.is_tree:
-        of_tree = _of_tree(topic, poses.tree, world)
-        return CameraPoses(of_tree, rectified=False, text=f"{topic}, transforms, to {world or 'their root'}")
+        text = f"{topic}, transforms, to {world or 'their root'}"
+        return CameraPoses(_of_tree(topic, poses.tree, world), rectified=False, text=text, warnings=warnings)
     chosen = frame or poses.child or CAMERA
+    over_time = _over_time(poses.poses, max_gap_ns)
     if chosen in (CAMERA, RECTIFIED):
         text = f"{topic}, of the left {'rectified ' * (chosen == RECTIFIED)}camera"
-        return CameraPoses(
-            lambda number, stamp_ns, frame_id: poses.track.at(stamp_ns), rectified=chosen == RECTIFIED, text=text
-        )
-    text = f"{topic}, of {chosen}"
-    return CameraPoses(_of_carrier(topic, poses.track, poses.tree, frame_name(chosen)), rectified=False, text=text)
+        return CameraPoses(over_time, rectified=chosen == RECTIFIED, text=text)
+    carried = _of_carrier(topic, over_time, poses.tree, chosen.removeprefix("/"))
+    return CameraPoses(carried, rectified=False, text=f"{topic}, of {chosen}", warnings=warnings)
 
 
-def _of_tree(topic: str, tree: FrameTree, world: str | None) -> _Lookup:
+def _of_tree(topic: str, tree: Transforms, world: str | None) -> _Lookup:
     def lookup(number: int, stamp_ns: int, frame_id: str) -> Pose | None:
-        path = tree.path(frame_id)
-        above = frame_name(world) if world is not None else path[-1]
-        if above not in path or not tree.moves(frame_id, above):
+        path = tree.ancestors(frame_id)
+        above = world.removeprefix("/") if world is not None else path[-1]
+        if above not in path or not tree.moves(above, frame_id):
             above_it = ", ".join(path[1:]) or "none"
             what = f"does not move in {above}" if above in path else f"is not below {above}"
             raise TopicError(
@@ -204,17 +223,17 @@ def _of_tree(topic: str, tree: FrameTree, world: str | None) -> _Lookup:
                 remedy="record the transforms of the robot, /tf and /tf_static, or name another world frame or topic",
                 settings=("world_frame", "poses"),
             )
-        return tree.pose(above, frame_id, stamp_ns)
+        return tree.find(above, frame_id, stamp_ns)
 
     return lookup
 
 
-def _of_carrier(topic: str, track: PoseTrack, tree: FrameTree, carrier: str) -> _Lookup:
+def _of_carrier(topic: str, over_time: _Lookup, tree: Transforms, carrier: str) -> _Lookup:
     def lookup(number: int, stamp_ns: int, frame_id: str) -> Pose | None:
-        pose = track.at(stamp_ns)
-        if pose is None or frame_name(frame_id) == carrier:
+        pose = over_time(number, stamp_ns, frame_id)
+        if pose is None or frame_id.removeprefix("/") == carrier:
             return pose
-        if not {*tree.path(frame_id)} & {*tree.path(carrier)}:
+        if not {*tree.ancestors(frame_id)} & {*tree.ancestors(carrier)}:
             known = ", ".join(tree.frames) or "none"
             raise TopicError(
                 f"the poses are those of {carrier}, and /tf_static does not connect it with {frame_id or '(empty)'}, "
@@ -225,7 +244,7 @@ def _of_carrier(topic: str, track: PoseTrack, tree: FrameTree, carrier: str) -> 
                 remedy=f"record /tf_static, or set {CAMERA} where the poses are those of the left camera",
                 settings=("pose_frame",),
             )
-        left = tree.pose(carrier, frame_id, stamp_ns)
+        left = tree.find(carrier, frame_id, stamp_ns)
         return None if left is None else pose @ left
 
     return lookup

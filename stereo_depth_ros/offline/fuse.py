@@ -151,7 +151,7 @@ def fuse_sequence(
     report.up /= max(float(np.linalg.norm(report.up)), 1e-12)
     report.apart = statistics.median(aparts) if aparts else math.nan
     report.integrate_ms = statistics.median(times_ms)
-    report.warnings = [*sequence.warnings, *refused.values(), *_warnings(report, volume.voxel_m)]
+    report.warnings = [*poses.warnings, *sequence.warnings, *refused.values(), *_warnings(report, volume.voxel_m)]
     if sequence.fault is not None:
         report.warnings.append(str(sequence.fault))
     return report
@@ -178,7 +178,7 @@ def _is_about_poses(error: StereoDepthError) -> bool:
 
 def _origin(pose: Pose) -> F64:
     """What is subtracted from poses far from the origin of their world, in whole meters."""
-    far = float(np.linalg.norm(pose.translation_m)) > _FAR_M
+    far = float(np.abs(pose.translation_m).max()) > _FAR_M
     return np.rint(pose.translation_m) if far else np.zeros(3)
 
 
