@@ -23,6 +23,7 @@ from light_stripe_images import board_camera, write_boards
 from posed_bags import write_drive, write_kitti
 from rendered_boards import SIZE, KnownRig, chessboard_points, chessboard_print, poses
 from rendered_turntable import rendering_camera, write_table
+from sheet_views import write_toy
 from stripe_scans import exact_plane, scanner, write_scan
 from test_datasets import make_euroc, make_kitti
 from test_kitti_lidar import sequence as make_kitti_with_sweeps
@@ -207,6 +208,7 @@ INPUTS: Mapping[str, Callable[[Path], object]] = {
     "image_pairs": _write_image_pairs,
     "sequence_07": write_kitti,
     "robot.mcap": write_drive,
+    "toy_views": write_toy,
     "laser_boards": write_boards,
     "laser.yaml": lambda path: write_plane(path, exact_plane(), scanner().rig.left),
     "scan_images": lambda path: write_scan(path.parent / "scan").joinpath("images").rename(path),

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_depth_ros.calibration.calibration_files import write_camera
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.pose import Pose
 from stereo_depth_ros.core.triangulation import Triangulation
@@ -118,3 +119,10 @@ def write_views(folder: Path, images: Sequence[RangeImage], first: int = 0) -> N
         cv2.imwrite(str(folder / f"rgb_{number}.png"), np.ascontiguousarray(image.color[:, :, ::-1]))
         depth_mm = np.rint(1000 * np.nan_to_num(image.depth_m)).astype(np.uint16)
         cv2.imwrite(str(folder / f"depth_{number}.png"), depth_mm)
+
+
+def write_toy(folder: Path) -> None:
+    """Five views, the image of their sheet and their camera."""
+    write_views(folder, [view(pose, seed) for seed, pose in enumerate(poses_around(5))])
+    cv2.imwrite(str(folder / "sheet.png"), sheet_image())
+    write_camera(folder / "camera.yaml", CAMERA, "color")

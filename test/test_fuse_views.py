@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import CommandLine
-from sheet_views import BLOCK, CX, CY, FX, FY, poses_around, sheet_image, view, write_views
+from sheet_views import BLOCK, CX, CY, FX, FY, poses_around, view, write_toy, write_views
 
 INTRINSICS = f"{FX},{FY},{CX},{CY}"
 POSES = poses_around(5)
@@ -20,9 +20,9 @@ POSES = poses_around(5)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five views and the image of the sheet."""
-    place = tmp_path_factory.mktemp("views")
-    write_views(place, [view(pose, seed) for seed, pose in enumerate(POSES)])
-    cv2.imwrite(str(place / "sheet.png"), sheet_image())
+    place = tmp_path_factory.mktemp("views") / "toy"
+    write_toy(place)
+    (place / "camera.yaml").rename(place.parent / "camera.yaml")
     return place
 
 

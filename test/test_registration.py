@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,9 +14,12 @@ import numpy as np
 import pytest
 from rendered_corner import BACK, CORNER, FLOOR, SPHERE, motion, rendered
 
+from stereo_depth_ros import PipelineConfig, StereoPair, StereoPipeline
 from stereo_depth_ros.core.errors import ConfigError, RegistrationError
 from stereo_depth_ros.core.pose import Pose
+from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.datasets.kitti import KittiDataset
 from stereo_depth_ros.surfaces.mesh import mesh_of, normal_image
 from stereo_depth_ros.surfaces.range_image import RangeImage
 from stereo_depth_ros.surfaces.registration import OrientedImage, OrientedPoints, Registration, moved_by, register
@@ -192,3 +197,31 @@ def test_a_moved_sphere_between_fixed_walls_is_an_outlier() -> None:
     found = register(source, oriented(TARGET, 2), moved_by(TRUTH, np.array([0.01, -0.02, 0.02, 0.02, -0.01, 0.03])))
     assert (np.abs(error_of(found.pose)) < 5 * np.sqrt(np.diag(found.covariance))).all()
     assert found.inlier_share < 0.95
+
+
+@pytest.mark.real_data
+def test_a_street_from_poses_that_are_wrong(stereo_data: Path) -> None:
+    """Two pairs in motion: starts wrong by 0.1 m and 0.5 degrees end alike, with the rotation that features tell."""
+    folder = stereo_data / "kitti_odometry" / "seqA_1226x370"
+    dataset = KittiDataset(folder)
+    pipeline = StereoPipeline(PipelineConfig(), dataset.rig)
+    images = []
+    for frame in itertools.islice(dataset, 2):
+        whole = RangeImage.of(pipeline.process(StereoPair(frame.left, frame.right)))
+        near = np.where(whole.depth_m < 40, whole.depth_m, np.float32(np.nan))[::3, ::3]
+        t = whole.triangulation
+        geometry = Triangulation(t.f_px / 3, t.fy_px / 3, t.cx_px / 3, t.cy_px / 3, t.baseline_m, t.doffs_px / 3)
+        images.append((whole, RangeImage(near.copy(), whole.sigma_m[::3, ::3], geometry, whole.color[::3, ::3])))
+    target, source = (OrientedImage.of(small) for _, small in images)
+    truth, off = Pose(np.identity(3), np.array([0.0, 0.0, 0.8])), np.array([0.005, -0.006, 0.004, 0.06, -0.05, 0.06])
+    found = [register(source, target, moved_by(truth, sign * off)).pose for sign in (1, -1)]
+    assert np.abs(error_of(*found)).max() < 0.001  # a tenth of the difference of the starts, or less
+    K = np.array([[t.f_px, 0, t.cx_px], [0, t.fy_px, t.cy_px], [0, 0, 1]])
+    first, second = (whole.color for whole, _ in images)
+    corners = cv2.goodFeaturesToTrack(first, 1000, 0.005, 8)
+    seen, tracked, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, None, winSize=(15, 15), maxLevel=5)
+    kept = tracked.ravel() > 0
+    E, inliers = cv2.findEssentialMat(corners[kept], seen[kept], K, cv2.RANSAC, 0.999, 0.5)
+    R = cv2.recoverPose(E, corners[kept], seen[kept], K, mask=inliers)[1]
+    turned = error_of(found[0], Pose(np.ascontiguousarray(R.T), found[0].translation_m))[:3]
+    assert np.degrees(np.linalg.norm(turned)) < 0.1

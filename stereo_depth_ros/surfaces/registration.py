@@ -34,6 +34,7 @@ I32 = npt.NDArray[np.int32]
 
 _RADIUS_PX = 2  # of the windows of normals
 _STRIDES, _LEAST_POINTS = (8, 4, 2), 2000  # coarse levels, and points that make one worthwhile
+_DENSER = 2.0  # pixels for each point of the target
 _MOST_STEPS = 40  # of a level
 # Root mean square of a step in standard deviations: that of one that has converged, and of those that may not become
 # smaller any more, as the corresponding points change from pixel to pixel.
@@ -136,6 +137,8 @@ def register(source: OrientedImage, target: OrientedImage | OrientedPoints, star
     """
     _check_start(start)
     levels = _levels(source)
+    if isinstance(target, OrientedPoints):  # more pixels than points have the errors of the same points
+        levels = [level for level in levels if len(level.points) <= _DENSER * len(target.points_m)] or levels[:1]
     surface = _surface(target, source, len(levels))
     pose, steps, cut = start, 0, math.inf
     for number, level in enumerate(levels):
