@@ -75,6 +75,9 @@ class SemiGlobalMatcher(SerialMatcher):
     With ``sgm_cost`` onnx the costs are products of features of a network, see
     :class:`~stereo_depth_ros.matching.networks.features.FeatureNetwork`, in the range of those of the census.
 
+    With a prior, disparities that another sensor expects, the costs of others rise up to a bound
+    (:func:`~stereo_depth_ros.matching.costs.prior.prior_costs`), before they are summed along paths.
+
     ``support_px`` is the census window, 9 x 7 pixels; the smoothing of the costs reads one more on all sides. With
     a network it is the border without features and the pixel between.
     """
