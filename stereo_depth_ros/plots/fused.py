@@ -76,4 +76,4 @@ def _draw(panel: U8, values: F64) -> None:
     columns, rows = np.rint((values[:, :2].T + 0.5) * (_PANEL - 1)).astype(int)
     inside = (columns >= 0) & (columns < _PANEL) & (rows >= 0) & (rows < _PANEL)
     shade = _DARKEST + (_LIGHTEST - _DARKEST) * values[inside, 3:4]
-    panel[rows[inside], columns[inside]] = (values[inside, :3:-1] * shade).astype(np.uint8)
+    panel[rows[inside], columns[inside]] = np.rint(values[inside, :3:-1] * shade).astype(np.uint8)
