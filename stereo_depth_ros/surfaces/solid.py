@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_depth_ros.core.errors import ConfigError
-from stereo_depth_ros.core.types import F64, U8
+from stereo_depth_ros.core.types import F32, F64, U8
 from stereo_depth_ros.surfaces.extraction_kernels import distances_at
 from stereo_depth_ros.surfaces.mesh import Mesh
 from stereo_depth_ros.surfaces.mesh_repair import piece_sizes, without_small_pieces
@@ -101,7 +101,7 @@ class SolidVolume(SurfaceVolume):
         """
         count = self.block_count
         unknown = self._weight[:count] == 0
-        known = np.where(unknown, np.float32(0), np.float32(1))
+        known = (~unknown).astype(np.float32)
         full = np.float32(-_BAND * self.voxel_m)
         self._distance[:count][unknown] = full
         self._weight[:count][unknown] = np.float32(1)
@@ -116,15 +116,20 @@ class SolidVolume(SurfaceVolume):
                 remedy="show the object from all sides, with a depth, and smaller than the sheet",
             )
         mesh, pieces, removed = without_small_pieces(mesh, int(sizes.max()))
-        behind = mesh.points_m - np.float32(0.75 * self.voxel_m) * mesh.normals
-        found = np.empty(len(behind))
-        points = np.ascontiguousarray(behind, np.float64)
-        distances_at(self._distance, known, self._keys, self._blocks, points, self.voxel_m, found)
+        colored = self._color[:count].any(axis=2).astype(np.float32)  # grid points in the band of an image
         inside = Box(self.box.low + 0.5 * self.voxel_m, self.box.high - 0.5 * self.voxel_m)
-        measured = np.isfinite(found) & inside.contains(mesh.points_m.astype(np.float64))
+        measured = self._has(known, mesh, -0.75) & inside.contains(mesh.points_m.astype(np.float64))
+        with_color = measured & self._has(colored, mesh, -0.75) & self._has(colored, mesh, 0.75)
         sigma = np.where(measured, mesh.sigma_m, np.float32(np.nan))
-        closed = replace(mesh, sigma_m=sigma, colors=_spread_colors(mesh, measured))
+        closed = replace(mesh, sigma_m=sigma, colors=_spread_colors(mesh, with_color))
         return Solid(closed, _share(mesh, measured), pieces, removed)
+
+    def _has(self, flags: F32, mesh: Mesh, voxels: float) -> npt.NDArray[np.bool_]:
+        """Whether the grid point so far from each vertex along its normal has a flag, float32 (N, 512), above 0."""
+        found = np.empty(len(mesh.points_m))
+        points = mesh.points_m.astype(np.float64) + voxels * self.voxel_m * mesh.normals
+        distances_at(self._distance, flags, self._keys, self._blocks, points, self.voxel_m, found)
+        return np.isfinite(found)
 
     def _outside(self, block: int) -> npt.NDArray[np.float32]:
         """The distance of each grid point of a block from the box, positive outside, float32 (512,), m."""
