@@ -101,7 +101,7 @@ class SolidVolume(SurfaceVolume):
         """
         count = self.block_count
         unknown = self._weight[:count] == 0
-        known = (~unknown).astype(np.float32)
+        known = np.asarray(~unknown, np.float32)
         full = np.float32(-_BAND * self.voxel_m)
         self._distance[:count][unknown] = full
         self._weight[:count][unknown] = np.float32(1)
@@ -116,7 +116,7 @@ class SolidVolume(SurfaceVolume):
                 remedy="show the object from all sides, with a depth, and smaller than the sheet",
             )
         mesh, pieces, removed = without_small_pieces(mesh, int(sizes.max()))
-        colored = self._color[:count].any(axis=2).astype(np.float32)  # grid points in the band of an image
+        colored = np.asarray(self._color[:count].any(axis=2), np.float32)  # grid points in the band of an image
         inside = Box(self.box.low + 0.5 * self.voxel_m, self.box.high - 0.5 * self.voxel_m)
         measured = self._has(known, mesh, -0.75) & inside.contains(mesh.points_m.astype(np.float64))
         with_color = measured & self._has(colored, mesh, -0.75) & self._has(colored, mesh, 0.75)
