@@ -131,6 +131,7 @@ def test_outputs_of_a_folder(run: Run, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "camera.yaml").write_text(camera_to_yaml(camera(), "camera"))
     files = [tmp_path / f"{name}.png" for name in ("depth", "sharp", "preview")]
     more = ("--depth-image", files[0], "--all-in-focus", files[1], "--preview", files[2], "--json", tmp_path / "o.json")
+    more = (*more, "--export", tmp_path / "surface.npz")
     arguments = (folder, "-o", tmp_path / "o.mcap", *RANGE, "--camera", tmp_path / "camera.yaml", *more)
     code, out, err = run(*arguments)
     assert code == 0, err
@@ -154,6 +155,11 @@ def test_outputs_of_a_folder(run: Run, folder: Path, tmp_path: Path) -> None:
     y, x = 70, 100
     np.testing.assert_allclose(cloud[y, x], depth_m[y, x] * np.array([(x - 81) / 150, (y - 58) / 145, 1]), rtol=1e-5)
     np.testing.assert_array_equal(np.isnan(cloud[..., 2]), expected.reasons != 0)
+    with np.load(tmp_path / "surface.npz") as surface:
+        np.testing.assert_array_equal(surface["depth_m"], depth_m)
+        np.testing.assert_array_equal(surface["sigma_m"], expected.sigma_m)
+        assert surface["K"].tolist() == [[150, 0, 81], [0, 145, 58], [0, 0, 1]]
+        np.testing.assert_array_equal(surface["color"], expected.all_in_focus[..., ::-1])  # the images are BGR
     depth_mm = cv2.imread(str(files[0]), cv2.IMREAD_UNCHANGED)
     assert depth_mm.dtype == np.uint16
     np.testing.assert_array_equal(depth_mm == 0, expected.reasons != 0)
@@ -235,6 +241,8 @@ def test_wrong_input_is_one_line(run: Run, folder: Path, tmp_path: Path) -> None
         ((folder, *output, "--topic", "/x"), "--topic has no effect with a folder"),
         ((folder, *output, "--depth-image", tmp_path / "d.png"), "--depth-image needs the focus distances"),
         ((folder, *output, *RANGE, "--depth-image", tmp_path / "d.tif"), "does not end in .png"),
+        ((folder, *output, "--export", tmp_path / "s.glb"), "--export needs the focus distances"),
+        ((folder, *output, *RANGE, "--export", tmp_path / "s.glb"), "--export needs the camera"),
         ((folder, *output, "--window", 4), "window 4 is not an odd number"),
         ((folder, *output, *RANGE, "--camera", tmp_path / "camera.yaml"), "the calibration is of 320x120"),
         ((folder, "-o", tmp_path / "o.bag"), "does not end in .mcap"),

@@ -65,10 +65,26 @@ class SurfaceExport:
         Raises:
             OutputError: it cannot be written.
         """
-        if self.name is None or (self.written and not self._every):
-            return
-        path = self.name.with_name(self.name.name.replace(STAMP, str(result.stamp_ns)))
-        self.written.append(write_surface(path, RangeImage.of(result), overwrite=self._overwrite))
+        if self._wants_more:
+            self._write(RangeImage.of(result), result.stamp_ns)
+
+    def add_image(self, image: RangeImage, stamp_ns: int) -> None:
+        """Write the depth of another sensor in the same way.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        if self._wants_more:
+            self._write(image, stamp_ns)
+
+    @property
+    def _wants_more(self) -> bool:
+        return self.name is not None and (self._every or not self.written)
+
+    def _write(self, image: RangeImage, stamp_ns: int) -> None:
+        assert self.name is not None
+        path = self.name.with_name(self.name.name.replace(STAMP, str(stamp_ns)))
+        self.written.append(write_surface(path, image, overwrite=self._overwrite))
 
     def __enter__(self) -> SurfaceExport:
         return self

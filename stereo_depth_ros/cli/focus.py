@@ -16,15 +16,16 @@ from stereo_depth_ros.active.focus.stack import FocusResult, depth_from_focus
 from stereo_depth_ros.bags.sources import is_bag
 from stereo_depth_ros.bags.writer import check_bag_output
 from stereo_depth_ros.camera_files.one_camera import read_camera
+from stereo_depth_ros.cli.export import SurfaceExport, add_files
 from stereo_depth_ros.cli.given import is_given, refuse_ignored, require_png
 from stereo_depth_ros.cli.kernels import prepare_kernels
-from stereo_depth_ros.cli.options import BagOutput, Json, Overwrite, new_app
+from stereo_depth_ros.cli.options import BagOutput, Export, Json, Overwrite, new_app
 from stereo_depth_ros.cli.output import progress_bar, show
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import F64
 from stereo_depth_ros.files.output import check_outputs
-from stereo_depth_ros.offline.focus import FocusImages, read_focus_images, write_focus_bag
+from stereo_depth_ros.offline.focus import FocusImages, range_image, read_focus_images, write_focus_bag
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.focus import focus_plot
 from stereo_depth_ros.plots.preview import preview as depth_preview
@@ -93,6 +94,7 @@ def focus(
     preview: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write that image and the depth in colors as a PNG.")
     ] = None,
+    export: Export = None,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -108,22 +110,25 @@ def focus(
     lens moves in equal steps.
 
     OUT.mcap receives focus/image_rect_color, focus/index, focus/index_sigma and focus/reasons, with focus distances
-    depth/image_rect and depth/sigma, with --camera depth/camera_info and points2.
+    depth/image_rect and depth/sigma, with --camera depth/camera_info and points2. With both, a mesh or a cloud can be
+    written by --export.
 
     \b
     Examples:
       stereo-depth focus stack -o focus.mcap --preview focus.png
       stereo-depth focus stack -o focus.mcap --near 0.1 --far inf --order far-to-near --camera camera.yaml
       stereo-depth focus stack -o focus.mcap --table stack.csv --focal-length 50 --depth-image depth.png
+      stereo-depth focus stack -o focus.mcap --table stack.csv --camera camera.yaml --export stack.glb
     """
-    _check_options(context, place, table, near, far, order)
+    _check_options(context, place, table, near, far, order, camera)
     further = {"--depth-image": depth_image, "--all-in-focus": all_in_focus, "--preview": preview}
     for name, path in further.items():
         require_png(name, path)
     images = read_focus_images(place, topic, ordered=table is not None)
     inputs = [*images.files, *(path for path in (table, camera) if path is not None)]
     check_bag_output(output, inputs, reports=[json_file], overwrite=overwrite)
-    check_outputs([path for path in further.values() if path is not None], inputs, overwrite=overwrite)
+    check_outputs([path for path in (*further.values(), export) if path is not None], inputs, overwrite=overwrite)
+    surfaces = SurfaceExport(export, overwrite=overwrite)
     distances_m = None
     if table is not None:
         rows = read_focus_table(table, None if focal_length is None else 1e-3 * focal_length)
@@ -144,6 +149,9 @@ def focus(
     facts = {"images": str(len(images.frames)), "window": str(window)}
     reference = images.frames[result.reference]
     topics = write_focus_bag(output, result, reference, model, metadata=facts, overwrite=overwrite)
+    if export is not None and model is not None:
+        with surfaces:
+            surfaces.add_image(range_image(result, model), reference.stamp_ns)
     if depth_image is not None and result.depth_m is not None:
         save_png(depth_image, _millimeters(result), overwrite=overwrite)
     sharp = result.all_in_focus if result.encoding != "rgb8" else np.ascontiguousarray(result.all_in_focus[..., ::-1])
@@ -157,9 +165,9 @@ def focus(
             else depth_preview(sharp, result.depth_m, title, "all in focus")
         )
         save_png(preview, image, overwrite=overwrite)
-    values = _values(result, images, distances_m, topics, output)
+    values = _values(result, images, distances_m, topics, output) | surfaces.to_json()
     written = {"bag": output, "depth image": depth_image, "all-in-focus image": all_in_focus, "preview": preview}
-    show(_tables(result, images, distances_m, written), values, json_file, overwrite=overwrite)
+    show(_tables(result, images, distances_m, written, surfaces), values, json_file, overwrite=overwrite)
 
 
 def _check_options(
@@ -169,6 +177,7 @@ def _check_options(
     near: float | None,
     far: float | None,
     order: str | None,
+    camera: Path | None,
 ) -> None:
     """Refuse options that are missing, contradict each other or have no effect.
 
@@ -194,10 +203,16 @@ def _check_options(
         refuse_ignored(context, ("order", "law"), "without --near and --far", "add them, or leave it out")
     if not is_bag(place):
         refuse_ignored(context, ("topic",), "with a folder", "leave it out")
-    if near is None and table is None and is_given(context, "depth_image"):
+    for name in ("depth_image", "export"):
+        if near is None and table is None and is_given(context, name):
+            raise ConfigError(
+                f"--{name.replace('_', '-')} needs the focus distances, without them no depth is known",
+                remedy="give --table, or --near, --far and --order",
+            )
+    if camera is None and is_given(context, "export"):
         raise ConfigError(
-            "--depth-image needs the focus distances, without them no depth is known",
-            remedy="give --table, or --near, --far and --order",
+            "--export needs the camera, without its calibration no point is known",
+            remedy="give --camera, or write --depth-image",
         )
 
 
@@ -259,7 +274,11 @@ def _shares(result: FocusResult) -> list[float]:
 
 
 def _tables(
-    result: FocusResult, images: FocusImages, distances_m: F64 | None, written: dict[str, Path | None]
+    result: FocusResult,
+    images: FocusImages,
+    distances_m: F64 | None,
+    written: dict[str, Path | None],
+    surfaces: SurfaceExport,
 ) -> Iterator[TextTable]:
     table = plain_table("image", "focus m:r", "scale:r", "shift px:r", "correlation:r", "sharpest:r")
     for number, (name, each, share) in enumerate(zip(images.names, result.placements, _shares(result), strict=True)):
@@ -286,4 +305,5 @@ def _tables(
     for name, path in written.items():
         if path is not None:
             facts.add_row(f"{name} written", str(path))
+    add_files(facts, surfaces.written)
     yield facts

@@ -27,8 +27,9 @@ from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.messages.point_cloud import cloud_message
 from stereo_depth_ros.offline.stripe_scan import bag_images
 from stereo_depth_ros.stages.point_cloud import CloudLayout
+from stereo_depth_ros.surfaces.range_image import RangeImage
 
-__all__ = ["FocusImages", "read_focus_images", "write_focus_bag"]
+__all__ = ["FocusImages", "range_image", "read_focus_images", "write_focus_bag"]
 
 _INTERVAL_NS = 100_000_000  # between the images of a folder, which have no stamps
 
@@ -145,7 +146,28 @@ def write_focus_bag(
     return [*messages]
 
 
+def range_image(result: FocusResult, camera: CameraModel) -> RangeImage:
+    """The depth of a stack, rectified, with its standard deviations and the all-in-focus image.
+
+    Raises:
+        ConfigError: its focus distances are not known, so that it has no depth.
+    """
+    if result.depth_m is None or result.sigma_m is None:
+        raise ConfigError(
+            "the focus distances are unknown, without them there is no depth",
+            remedy="give the focus distance of each image",
+            settings=("table", "near", "far"),
+        )
+    color = result.all_in_focus[:, :, ::-1] if result.encoding == "bgr8" else result.all_in_focus
+    return RangeImage(result.depth_m, result.sigma_m, _geometry(camera, 0.0), color)
+
+
+def _geometry(camera: CameraModel, baseline_m: float) -> Triangulation:
+    (fx, _, cx), (_, fy, cy) = camera.P[:2, :3].tolist()
+    return Triangulation(fx, fy, cx, cy, baseline_m, 0.0)
+
+
 def _as_disparity(depth_m: F32, camera: CameraModel) -> tuple[F32, Triangulation]:
     """The depth as the disparity of a baseline of one meter, of which clouds are made."""
-    (fx, _, cx), (_, fy, cy) = camera.P[:2, :3].tolist()
-    return np.float32(fx) / depth_m, Triangulation(fx, fy, cx, cy, 1.0, 0.0)
+    geometry = _geometry(camera, 1.0)
+    return np.float32(geometry.f_px) / depth_m, geometry
