@@ -25,7 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue, SetParametersResult  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
 
 from stereo_depth_ros.core.rig import StereoRig  # noqa: E402
@@ -122,7 +122,7 @@ class Graph:
         self.nodes: list[Any] = []
         try:
             self._executor.add_node(self._node)
-            self.logs = self.listen("/rosout", Log, depth=100)
+            self.logs = self.listen("/rosout", Log, depth=100, latched=True)  # what is logged before the link is there
             self.diagnostics = self.listen("/diagnostics", DiagnosticArray, depth=100)
             for node_type in node_types:
                 self.nodes.append(node_type())
@@ -160,10 +160,12 @@ class Graph:
                 pytest.fail(f"within {timeout_s:g} s: no {what}; log: {[log.msg for log in self.logs[-5:]]}")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def listen(self, topic: str, kind: Any, depth: int = 10, reliable: bool = True) -> list[Any]:
+    def listen(self, topic: str, kind: Any, depth: int = 10, reliable: bool = True, latched: bool = False) -> list[Any]:
         """Subscribes; the list of messages received."""
         received: list[Any] = []
         qos = _qos(depth, reliable)
+        if latched:
+            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
         self._subscriptions[topic] = self._node.create_subscription(kind, topic, received.append, qos)
         return received
 

@@ -17,7 +17,6 @@ from stereo_depth_ros.camera_files.reading import rig_file_paths
 from stereo_depth_ros.cli.camera_info import CameraInfo, CommandWithCameraInfo
 from stereo_depth_ros.cli.errors import param_options
 from stereo_depth_ros.cli.given import given_parameters, is_given, refuse_ignored
-from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import Json, Left, Matcher, Overwrite, Params, Right, SideBySide, new_app
 from stereo_depth_ros.cli.output import parameter_files, progress_bar, show
 from stereo_depth_ros.cli.tables import TextTable, facts_table, plain_table
@@ -30,7 +29,6 @@ from stereo_depth_ros.diagnosis.survey import StereoSetup
 from stereo_depth_ros.diagnosis.verdict import Diagnosis
 from stereo_depth_ros.files.output import check_outputs
 from stereo_depth_ros.matching import Matcher as StereoMatcher
-from stereo_depth_ros.matching import matcher_from_config
 from stereo_depth_ros.replay.graph_processes import require_ros
 
 __all__ = ["app"]
@@ -124,6 +122,10 @@ def _chosen(values: Mapping[str, Value]) -> StereoMatcher | None:
     if not values:
         return None
     config = pipeline_config(values).matching
+    # Without --matcher the command starts without the compiler.
+    from stereo_depth_ros.cli.kernels import prepare_kernels
+    from stereo_depth_ros.matching import matcher_from_config
+
     prepare_kernels(config)
     return matcher_from_config(config)
 
