@@ -72,4 +72,4 @@ def test_nodes_that_have_the_first_pair_forget_it(tmp_path: Path, monkeypatch: p
         played = player.Player(ports, pairs, options, approximate=False, check=lambda: None)
         played.play(lambda sent, total: None)
     assert played.sent == 2 and not played.lost
-    assert ports.steps == ["sent", "idle", "sent", "sent"]
+    assert ports.steps == ["sent", "sent", "idle", "sent", "sent"]

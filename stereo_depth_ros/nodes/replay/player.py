@@ -21,7 +21,7 @@ _GRAPH_TIMEOUT_S = 20.0
 _SETTLED_S = 0.5  # endpoints appear one after the other; after this time without a new one the graph is complete
 _LOST_AFTER_S = 10.0
 _LAST_AFTER_S = 2.0  # in real time, an output missing this long after the last pair was dropped
-_REPEAT_S = 1.0
+_REPEAT_S = 2.0
 _MOST_SILENT_PAIRS = 3  # pairs in a row without any output; each takes ten seconds
 _SPIN_S = 0.05
 
@@ -119,20 +119,23 @@ class Player:
         return not (self._options.realtime or self._needs_followers)
 
     def _repeat_first(self, pair: SerializedPair) -> None:
-        """Send the first pair again, once a second, until its outputs are complete or the timeout is over.
+        """Send the first pair again, every other second, until its outputs are complete or the timeout is over.
 
         Best-effort links between the nodes may be established later than everything visible from here, and DDS does
-        not repeat messages on them. A node that has the pair already would count the repetition as a duplicate: before
-        it, the nodes are without a subscriber, and forget what they have received.
+        not repeat messages on them. A node that has the pair already drops the repetition as a duplicate: from the
+        second one on, the nodes are without a subscriber before it, and forget what they have received.
         """
+        repetitions = 0
         end_ns = self._first_ns + round(1e9 * (_LOST_AFTER_S - _REPEAT_S))
         while self._tracker.pending and time.monotonic_ns() < end_ns:
             repeat_ns = time.monotonic_ns() + round(1e9 * _REPEAT_S)
             while self._tracker.pending and time.monotonic_ns() < repeat_ns:
                 self._spin(_SPIN_S)
             if self._tracker.pending:
-                self._ports.subscribe_again()
-                self._wait_for_graph()
+                repetitions += 1
+                if repetitions > 1:
+                    self._ports.subscribe_again()
+                    self._wait_for_graph()
                 self._ports.send_all_but_last(pair)
                 self._first_ns = time.monotonic_ns()
                 self._tracker.sent_again(pair.stamp_ns, self._first_ns)
