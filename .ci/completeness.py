@@ -3,7 +3,7 @@
 """A pytest plugin: the run fails when tests that should have run did not (``pytest -p completeness``).
 
 A file with tests must have been collected, tests of the graph must have run, and so must tests on real data where the
-data is.
+data is, and tests of a trained network where its file is named.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Completeness:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Notes what ran and what was skipped, in any process; an expected failure ran."""
         self.files.add(self.root / report.nodeid.partition("::")[0])
-        self.markers[report.nodeid] = set(report.keywords) & {"graph", "real_data"}
+        self.markers[report.nodeid] = set(report.keywords) & {"graph", "network", "real_data"}
         if report.skipped and not hasattr(report, "wasxfail"):
             self.skipped.add(report.nodeid)
         elif report.when == "call":
@@ -62,6 +62,8 @@ class Completeness:
         return sorted(lines)
 
     def _must_run(self, markers: set[str]) -> bool:
+        if "network" in markers and not os.environ.get("PSMNET"):
+            return False
         if "real_data" in markers:
             return self.has_data
         return "graph" in markers

@@ -12,12 +12,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-CONFIG = '[tool.pytest.ini_options]\ntestpaths = ["test"]\nmarkers = ["graph: ", "real_data: "]\n'
+CONFIG = '[tool.pytest.ini_options]\ntestpaths = ["test"]\nmarkers = ["graph: ", "network: ", "real_data: "]\n'
 GRAPH = "import pytest\n\n@pytest.mark.graph\ndef test_graph():\n    pass\n"
 GRAPH_SKIPPED = "import pytest\n\n@pytest.mark.graph\ndef test_no_ros():\n    pytest.skip('no ROS')\n"
 DATA_SKIPPED = (
     "import pytest\n\n@pytest.mark.graph\n@pytest.mark.real_data\ndef test_data():\n    pytest.skip('none')\n"
 )
+NETWORK_SKIPPED = GRAPH_SKIPPED.replace("@pytest.mark.graph", "@pytest.mark.network\n@pytest.mark.graph")
 PLAIN_SKIPPED = "import pytest\n\n@pytest.mark.skipif(True, reason='mac')\ndef test_plain():\n    pass\n"
 
 
@@ -36,11 +37,15 @@ def run(root: Path, *arguments: str, data: Path | None = None, **files: str) -> 
 
 
 @pytest.mark.parametrize("processes", [(), ("-n", "2")], ids=["one process", "two processes"])
-def test_complete_run_passes_with_absent_data_and_other_skips(tmp_path: Path, processes: tuple[str, ...]) -> None:
-    code, output = run(tmp_path, *processes, test_a=GRAPH, test_b=DATA_SKIPPED, test_c=PLAIN_SKIPPED)
+def test_complete_run_passes_with_absent_data_and_other_skips(
+    tmp_path: Path, processes: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("PSMNET", raising=False)
+    skipped = {"test_b": DATA_SKIPPED, "test_c": PLAIN_SKIPPED, "test_d": NETWORK_SKIPPED}
+    code, output = run(tmp_path, *processes, test_a=GRAPH, **skipped)
     assert code == 0, output
     assert "INCOMPLETE" not in output
-    assert "1 passed, 2 skipped" in output
+    assert "1 passed, 3 skipped" in output
 
 
 @pytest.mark.parametrize("processes", [(), ("-n", "2")], ids=["one process", "two processes"])
@@ -70,6 +75,13 @@ def test_skipped_real_data_fails_where_the_data_is(tmp_path: Path) -> None:
     code, output = run(tmp_path, data=tmp_path, test_a=GRAPH, test_b=DATA_SKIPPED)
     assert code == 1, output
     assert "INCOMPLETE test/test_b.py::test_data: skipped" in output
+
+
+def test_skipped_network_fails_where_its_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PSMNET", "network.onnx")
+    code, output = run(tmp_path, test_a=GRAPH, test_b=NETWORK_SKIPPED)
+    assert code == 1, output
+    assert "INCOMPLETE test/test_b.py::test_no_ros: skipped" in output
 
 
 def test_deselected_file_is_not_collected(tmp_path: Path) -> None:
