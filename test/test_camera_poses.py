@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +48,11 @@ def check(poses: CameraPoses, world_from_map: Pose | None = None) -> None:
     """The poses are those of the camera, at the times of the images and between."""
     made = sequence(FRAMES)
     for number, stamp_ns in enumerate([made.stamp_ns(i) for i in range(FRAMES)]):
-        found = poses.at(number, stamp_ns, FRAME, made.rig)
+        found = poses.at(partial(int, number), stamp_ns, FRAME, made.rig)
         assert found is not None
         wanted = (world_from_map or Pose.identity()) @ expected(stamp_ns)
         np.testing.assert_allclose(found.matrix, wanted.matrix, atol=2e-4)  # of the interpolation
-    assert poses.at(0, made.stamp_ns(0) - 10**9, FRAME, made.rig) is None
+    assert poses.at(int, made.stamp_ns(0) - 10**9, FRAME, made.rig) is None
 
 
 CAMERA_POSE: Message = lambda types, stamp_ns: stamped(types, stamp_ns, MAP_FROM_SCENE @ camera_pose(stamp_ns))  # noqa: E731
@@ -98,7 +99,7 @@ def test_topics(bag: Path, topic: str, frame: str | None, world: str | None, wor
 def test_rectified_poses_are_taken_as_they_are(bag: Path) -> None:
     made, poses = sequence(FRAMES), read_bag_poses(bag, "/camera_pose", GAP_NS)
     stamp_ns = made.stamp_ns(1)
-    found = poses_of_topic("/camera_pose", poses, GAP_NS, "rectified").at(1, stamp_ns, FRAME, made.rig)
+    found = poses_of_topic("/camera_pose", poses, GAP_NS, "rectified").at(partial(int, 1), stamp_ns, FRAME, made.rig)
     assert found is not None
     np.testing.assert_allclose(found.matrix, (MAP_FROM_SCENE @ camera_pose(stamp_ns)).matrix, atol=2e-4)
 
@@ -108,7 +109,7 @@ def test_topics_that_do_not_reach_the_camera(bag: Path, tmp_path: Path) -> None:
     assert {*pose_topics(bag)} == {*MESSAGES}
     with pytest.raises(TopicError, match="is not a topic of poses; the bag has /base_pose, /camera_pose"):
         read_bag_poses(bag, "/left/image_raw", GAP_NS)
-    arguments = (1, made.stamp_ns(1), FRAME, made.rig)
+    arguments = (partial(int, 1), made.stamp_ns(1), FRAME, made.rig)
     lost = poses_of_topic("/base_pose", read_bag_poses(bag, "/base_pose", GAP_NS), GAP_NS, "gripper")
     with pytest.raises(TopicError, match="those of gripper, and /tf_static does not connect it") as caught:
         lost.at(*arguments)
@@ -207,7 +208,7 @@ def test_rows_of_frames(tmp_path: Path) -> None:
     path.write_text("\n".join(rows))
 
     def x(poses: CameraPoses, number: int) -> float | None:
-        found = poses.at(number, 0, "", rig)
+        found = poses.at(partial(int, number), 0, "", rig)
         return None if found is None else float(found.translation_m[0])
 
     of_all = poses_of_file(path, GAP_NS, None, posed(numbers=[1, 3, 4]))

@@ -25,16 +25,17 @@ _WORLD, _POSED = "world", "posed"  # frames of poses over time
 _ROUNDING_NS = 1_000_000  # stamps in text files may have three decimals
 _NAMES = f"{CAMERA} (the left camera), {RECTIFIED} (the left camera after rectification) or {BODY}"
 
-# Pose of the left camera by frame number, stamp and frame of the image
-_Lookup: TypeAlias = Callable[[int, int, str], Pose | None]
+# Pose of the left camera by frame number, which is found only where it is needed, stamp and frame of the image
+_Number: TypeAlias = Callable[[], int]
+_Lookup: TypeAlias = Callable[[_Number, int, str], Pose | None]
 
 
 class CameraPoses:
     """The pose of the left rectified camera in the world, for each pair.
 
     Args:
-        lookup: pose of the left camera by number of the pair, stamp in nanoseconds, and frame of the image; None where
-            it is not known.
+        lookup: pose of the left camera by what finds the number of the pair, stamp in nanoseconds, and frame of the
+            image; None where it is not known.
         rectified: that camera is the rectified one.
         text: what the poses are of, in words.
         files: what is read.
@@ -56,7 +57,7 @@ class CameraPoses:
         self.files = files
         self.warnings = warnings
 
-    def at(self, number: int, stamp_ns: int, frame_id: str, rig: Rig | None) -> Pose | None:
+    def at(self, number: _Number, stamp_ns: int, frame_id: str, rig: Rig | None) -> Pose | None:
         """The pose for a pair, or without a rig for a camera without lens distortion; None where it is not known.
 
         Raises:
@@ -122,7 +123,7 @@ def poses_of_file(path: Path, max_gap_ns: int, frame: str | None = None, of: Pos
 
 
 def _moved(find: _Lookup, posed_from_left: Pose) -> _Lookup:
-    def lookup(number: int, stamp_ns: int, frame_id: str) -> Pose | None:
+    def lookup(number: _Number, stamp_ns: int, frame_id: str) -> Pose | None:
         pose = find(number, stamp_ns, frame_id)
         return None if pose is None else pose @ posed_from_left
 
@@ -142,7 +143,7 @@ def _finder(path: Path, file: PoseFile, max_gap_ns: int, of: PosedDataset | None
         return _over_time(zip(file.stamps_ns, file.poses, strict=True), max_gap_ns)
     if file.numbers:
         by_number = dict(zip(file.numbers, file.poses, strict=True))
-        return lambda number, stamp_ns, frame_id: by_number.get(number)
+        return lambda number, stamp_ns, frame_id: by_number.get(number())
     poses, shift = file.poses, {}
     if of is not None and max(of.numbers, default=0) >= len(poses):
         if len(poses) != len(of.image_numbers):
@@ -157,7 +158,12 @@ def _finder(path: Path, file: PoseFile, max_gap_ns: int, of: PosedDataset | None
         shift = {
             number: row for row, number in enumerate(of.image_numbers)
         }  # an excerpt: the rows are those of its images
-    return lambda number, stamp_ns, frame_id: _row(poses, shift.get(number, number))
+
+    def lookup(number: _Number, stamp_ns: int, frame_id: str) -> Pose | None:
+        frame = number()
+        return _row(poses, shift.get(frame, frame))
+
+    return lookup
 
 
 def _over_time(poses: Iterable[tuple[int, Pose]], max_gap_ns: int) -> _Lookup:
@@ -209,7 +215,7 @@ def poses_of_topic(
 
 
 def _of_tree(topic: str, tree: Transforms, world: str | None) -> _Lookup:
-    def lookup(number: int, stamp_ns: int, frame_id: str) -> Pose | None:
+    def lookup(number: _Number, stamp_ns: int, frame_id: str) -> Pose | None:
         path = tree.ancestors(frame_id)
         above = world.removeprefix("/") if world is not None else path[-1]
         if above not in path or not tree.moves(above, frame_id):
@@ -229,7 +235,7 @@ def _of_tree(topic: str, tree: Transforms, world: str | None) -> _Lookup:
 
 
 def _of_carrier(topic: str, over_time: _Lookup, tree: Transforms, carrier: str) -> _Lookup:
-    def lookup(number: int, stamp_ns: int, frame_id: str) -> Pose | None:
+    def lookup(number: _Number, stamp_ns: int, frame_id: str) -> Pose | None:
         pose = over_time(number, stamp_ns, frame_id)
         if pose is None or frame_id.removeprefix("/") == carrier:
             return pose

@@ -22,13 +22,13 @@ from stereo_depth_ros.config import PipelineConfig, ViewConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import CameraOrderError, OutputError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
 from stereo_depth_ros.diagnosis.opening import no_pair_error, open_selection, skipped_text
 from stereo_depth_ros.evaluation.bag_score import score_disparity
+from stereo_depth_ros.offline.examined_pipelines import ExaminedPipelines
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
 from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
-from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
+from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.views.result_frames import ResultFrames
 from stereo_depth_ros.views.topics import ViewMessages
 
@@ -129,11 +129,10 @@ def _refuse(fault: StereoDepthError | None, bag: Path, strict: bool) -> None:
 
 
 class _Engine:
-    """Computes serialized pairs; the pipeline is rebuilt when a camera info changes, and the first pairs examined.
+    """Computes serialized pairs and writes their messages.
 
     Attributes:
         rig: of the last pair.
-        fault: the first one that the first pairs of a rig show; None where they show none.
     """
 
     def __init__(
@@ -144,33 +143,31 @@ class _Engine:
         self._views = views
         self._frames, self._view_messages = ResultFrames(), ViewMessages(self._types)
         self._messages = ResultMessages(self._types)
-        self._config = config
-        self._pipelines = PerCalibration(self._types, self._build)
-        self._depth, self._rectified_depth = BitDepth(), BitDepth()
-        self._first: FirstPairs | None = None
+        self._rigs = PerCalibration(self._types, lambda rig: rig)
+        self._pipelines = ExaminedPipelines(config)
+        self._depth = BitDepth()
         self.rig: StereoRig | None = None
-        self.fault: StereoDepthError | None = None
+
+    @property
+    def fault(self) -> StereoDepthError | None:
+        """What the first pairs show."""
+        return self._pipelines.fault
 
     def process(
         self, pair: SerializedPair, image_type: str, writer: BagWriter, sweeps: ProjectedSweeps | None
     ) -> dict[str, float]:
         """Compute a pair and write its messages; returns milliseconds per stage."""
-        pipeline = self._pipelines.of(pair, image_type)
+        rig = self._rigs.of(pair, image_type)
         prior, prior_ms = None, 0.0
         if sweeps is not None:
             start = time.perf_counter()
-            rig = pipeline.rig
-            assert isinstance(rig, StereoRig)  # of camera infos
             project_sweep = sweeps.of(pair.stamp_ns, lambda: rig)
             prior = None if project_sweep is None else project_sweep().prior
             prior_ms = 1e3 * (time.perf_counter() - start)
-        result = pipeline.process(pair.images(self._types, image_type, pipeline.rig, self._depth), prior)
+        result = self._pipelines.compute(pair.images(self._types, image_type, rig, self._depth), rig, prior)
         if sweeps is not None:
             result.timings_ms["prior"] = prior_ms
         self.rig = result.calibrated_rig
-        assert self._first is not None  # made with the pipeline
-        fault = self._first.look(result.pair, result.rectified.left, result.rectified.right, result.disparity)
-        self.fault = self.fault or fault
         writer.write_raw("/left/camera_info", INFO_TYPE, pair.left_info, pair.stamp_ns)
         writer.write_raw("/right/camera_info", INFO_TYPE, pair.right_info, pair.right_stamp_ns)
         for topic, message in self._outputs(result):
@@ -179,15 +176,8 @@ class _Engine:
         return result.timings_ms
 
     def finish(self) -> None:
-        """No more pair of the current rig comes."""
-        if self._first is not None:
-            self.fault = self.fault or self._first.finish()
-
-    def _build(self, rig: StereoRig) -> StereoPipeline:
-        self.finish()
-        pipeline = StereoPipeline(self._config, rig, self._rectified_depth)
-        self._first = FirstPairs(rig, pipeline.shown)
-        return pipeline
+        """No more pair comes."""
+        self._pipelines.finish()
 
     def _outputs(self, result: StereoResult) -> Iterator[tuple[str, Any]]:
         for topic, _, build in OUTPUTS:

@@ -136,7 +136,7 @@ class RangeSequence:
 
     def __iter__(self) -> Iterator[SequencePair]:
         for number, stamp_ns in enumerate(self._dataset.stamps_ns):
-            yield SequencePair(number, stamp_ns, functools.partial(self._view, number))
+            yield SequencePair(functools.partial(int, number), stamp_ns, functools.partial(self._view, number))
 
     def _view(self, number: int) -> SequenceView:
         frame = self._dataset[number]

@@ -21,10 +21,10 @@ from stereo_depth_ros.core.errors import CameraOrderError, StereoDepthError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.datasets.posed import PosedDataset
-from stereo_depth_ros.diagnosis.first_pairs import FirstPairs
 from stereo_depth_ros.diagnosis.opening import no_pair_error, open_selection
 from stereo_depth_ros.messages.cdr import cdr_stamp_ns
-from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
+from stereo_depth_ros.offline.examined_pipelines import ExaminedPipelines
+from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.surfaces.range_image import RangeImage
 
 __all__ = ["BagSequence", "DatasetSequence", "Sequence", "SequencePair", "SequenceView"]
@@ -35,12 +35,12 @@ class SequencePair:
     """A pair that is computed on demand.
 
     Attributes:
-        number: of its frame, by which files without times have a row for it.
+        number: finds that of its frame, by which files without times have a row for it.
         stamp_ns: of the left image, integer nanoseconds.
         read: its images.
     """
 
-    number: int
+    number: Callable[[], int]
     stamp_ns: int
     read: Callable[[], SequenceView]
 
@@ -83,39 +83,10 @@ class Sequence(Protocol):
     def __iter__(self) -> Iterator[SequencePair]: ...
 
 
-class _Pipelines:
-    """The pipeline of a rig, made anew where the rig changes; the first pairs of each rig are examined."""
-
-    def __init__(self, config: PipelineConfig) -> None:
-        self._config = config
-        self._depth = BitDepth()
-        self._pipeline: StereoPipeline | None = None
-        self._first: FirstPairs | None = None
-        self.fault: StereoDepthError | None = None
-
-    def compute(self, pair: StereoPair, rig: StereoRig) -> StereoResult:
-        """Depth of a pair.
-
-        Raises:
-            CameraOrderError: the cameras are swapped.
-        """
-        if self._pipeline is None or self._first is None or self._pipeline.rig is not rig:
-            self.finish()
-            self._pipeline = StereoPipeline(self._config, rig, self._depth)
-            self._first = FirstPairs(rig, self._pipeline.shown)
-        result = self._pipeline.process(pair)
-        found = self._first.look(result.pair, result.rectified.left, result.rectified.right, result.disparity)
-        self.fault = self.fault or found
-        return result
-
-    def finish(self) -> None:
-        """No more pair of this rig comes."""
-        if self._first is not None:
-            self.fault = self.fault or self._first.finish()
-
-
 class BagSequence:
-    """The pairs of a bag, see :class:`Sequence`; frames are numbered by all left images of the bag.
+    """The pairs of a bag, see :class:`Sequence`.
+
+    Frames are numbered by all left images of the bag, which are read for it when the first number is asked for.
 
     Args:
         selection: bag, topics and part of it.
@@ -128,12 +99,10 @@ class BagSequence:
     def __init__(self, selection: BagSelection, config: PipelineConfig) -> None:
         self._config = config
         self._selection, choice = open_selection(selection, config.pairing)
-        self._pipelines = _Pipelines(config)
+        self._pipelines = ExaminedPipelines(config)
         self._warnings = [choice] if choice else []
         with BagPairs(self._selection, config.pairing) as pairs:
-            self._count, left = pairs.count, pairs.topics.left_image
-        with BagReader(selection.path) as reader:
-            self._stamps = sorted(cdr_stamp_ns(message.data) for message in reader.messages([left]))
+            self._count, self._left_topic = pairs.count, pairs.topics.left_image
 
     @property
     def files(self) -> list[Path]:
@@ -169,11 +138,20 @@ class BagSequence:
 
             for pair in pairs.pairs():
                 is_empty = False
-                frame = bisect.bisect_left(self._stamps, pair.stamp_ns)
-                yield SequencePair(frame, pair.stamp_ns, reader(pair))
+                number = functools.partial(self._number, pair.stamp_ns)
+                yield SequencePair(number, pair.stamp_ns, reader(pair))
             self._warnings += [*([pairs.warning] if pairs.warning else []), *pairs.losses]
             if is_empty:
                 raise no_pair_error(pairs, self._selection.path, [])
+
+    def _number(self, stamp_ns: int) -> int:
+        return bisect.bisect_left(self._stamps, stamp_ns)
+
+    @functools.cached_property
+    def _stamps(self) -> list[int]:
+        """Of all left images of the bag, ascending, integer nanoseconds."""
+        with BagReader(self._selection.path) as reader:
+            return sorted(cdr_stamp_ns(message.data) for message in reader.messages([self._left_topic]))
 
     def _compute(self, pair: StereoPair, rig: StereoRig) -> StereoResult:
         try:
@@ -192,7 +170,7 @@ class DatasetSequence:
 
     def __init__(self, posed: PosedDataset, config: PipelineConfig) -> None:
         self._posed = posed
-        self._pipelines = _Pipelines(config)
+        self._pipelines = ExaminedPipelines(config)
 
     @property
     def files(self) -> list[Path]:
@@ -219,7 +197,7 @@ class DatasetSequence:
         for number, frame in zip(self._posed.numbers, self._posed.dataset, strict=True):
             pair = StereoPair(frame.left, frame.right)
             read = functools.partial(_view, pair, rig, self._pipelines.compute)
-            yield SequencePair(number, frame.left.stamp_ns, read)
+            yield SequencePair(functools.partial(int, number), frame.left.stamp_ns, read)
 
 
 def _view(pair: StereoPair, rig: StereoRig, compute: Callable[[StereoPair, StereoRig], StereoResult]) -> SequenceView:

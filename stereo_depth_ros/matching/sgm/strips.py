@@ -4,17 +4,16 @@
 
 from __future__ import annotations
 
-import math
 from mmap import PAGESIZE
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numba import float32, float64, int16, int64, uint8, uint16
-from numpy.typing import DTypeLike
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
+from stereo_depth_ros.core.page_memory import on_pages
 from stereo_depth_ros.core.types import F32, U8, U16, Reason
 from stereo_depth_ros.matching.costs.census import cost_rows, padded_count
 from stereo_depth_ros.matching.costs.features import copy_costs
@@ -84,32 +83,22 @@ class Scratch(NamedTuple):
         count = padded_count(config.num_disparities)
         directions = 1 if config.sgm_paths == 4 else 3
         return cls(
-            raw=_on_pages((bands, width + 2, count), np.uint8),
-            sums=_on_pages((_APART * bands, count), np.uint16),
-            smooth=_on_pages((bands, 3, width, count), np.uint8),
-            cost=_on_pages((bands, rows, width, count), np.uint8),
-            down=_on_pages((bands, directions, rows, width, count), np.uint8),
-            up=_on_pages((bands, directions, _UP_ROWS, width, count), np.uint8),
-            left=_on_pages((bands, _ROWS, width, count), np.uint8),
-            right=_on_pages((_APART * bands, _ROWS, count), np.uint8),
-            least=_on_pages((bands, PAGESIZE), np.uint8),
-            least_down=_on_pages((bands, directions, 2, width), np.uint8),
-            least_up=_on_pages((bands, directions, 2, width), np.uint8),
-            totals=_on_pages((_APART * bands, 2, count // 2), np.uint16),
-            right_sums=_on_pages((bands, _ROWS, 2, (width + count) // 2 + 1), np.uint16),
-            right_indices=_on_pages((bands, _ROWS, 2, (width + count) // 2 + 1), np.uint16),
-            winners=_on_pages((bands, _ROWS, 5, width), np.uint16),
+            raw=on_pages((bands, width + 2, count), np.uint8),
+            sums=on_pages((_APART * bands, count), np.uint16),
+            smooth=on_pages((bands, 3, width, count), np.uint8),
+            cost=on_pages((bands, rows, width, count), np.uint8),
+            down=on_pages((bands, directions, rows, width, count), np.uint8),
+            up=on_pages((bands, directions, _UP_ROWS, width, count), np.uint8),
+            left=on_pages((bands, _ROWS, width, count), np.uint8),
+            right=on_pages((_APART * bands, _ROWS, count), np.uint8),
+            least=on_pages((bands, PAGESIZE), np.uint8),
+            least_down=on_pages((bands, directions, 2, width), np.uint8),
+            least_up=on_pages((bands, directions, 2, width), np.uint8),
+            totals=on_pages((_APART * bands, 2, count // 2), np.uint16),
+            right_sums=on_pages((bands, _ROWS, 2, (width + count) // 2 + 1), np.uint16),
+            right_indices=on_pages((bands, _ROWS, 2, (width + count) // 2 + 1), np.uint16),
+            winners=on_pages((bands, _ROWS, 5, width), np.uint16),
         )
-
-
-def _on_pages(shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-    """A page-aligned array, so that vectors of its rows cover few cache lines."""
-    size = math.prod(shape) * np.dtype(dtype).itemsize
-    memory = np.empty(size + PAGESIZE, np.uint8)
-    begin = -memory.ctypes.data % PAGESIZE
-    array = memory[begin : begin + size].view(dtype).reshape(shape)
-    array[...] = 0
-    return array
 
 
 class Output(NamedTuple):
