@@ -143,7 +143,7 @@ def test_a_missing_transform_names_both_frames_until_it_comes() -> None:
         (x, y, z, w), (a, b, c) = map(float, LEFT_LIDAR.quaternion), map(float, LEFT_LIDAR.translation_m)
         transform = Transform(translation=Vector3(x=a, y=b, z=c), rotation=Quaternion(x=x, y=y, z=z, w=w))
         stamped = TransformStamped(header=Header(frame_id=LEFT), child_frame_id="lidar", transform=transform)
-        graph.nodes[0]._range._transforms.receive(SimpleNamespace(transforms=[stamped]), "/tf_static")
+        graph.nodes[0]._range._sweeps.transforms.receive(SimpleNamespace(transforms=[stamped]), "/tf_static")
         send(graph, 4)
         graph.wait(lambda: graph.counter("disparities compared") > 0, "a comparison")
         assert graph.status().level == DiagnosticStatus.OK
@@ -168,7 +168,7 @@ def test_scans_and_depth_images_are_found_by_their_type(tmp_path: Path) -> None:
         info = rectified_camera_info(TYPES, rig.left, NS_PER_S)
         graph.advertise("/lidar/points", type(depth))
         graph.send({"/lidar/camera_info": info})
-        graph.wait(lambda: graph.nodes[0]._range._sensor._camera is not None, "the camera info")
+        graph.wait(lambda: graph.nodes[0]._range._sweeps.sensor._camera is not None, "the camera info")
         graph.send({"/lidar/points": depth})
         graph.wait(lambda: graph.counter("sweeps") == 1, "a depth image")
 

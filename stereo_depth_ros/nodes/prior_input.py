@@ -4,30 +4,16 @@
 
 from __future__ import annotations
 
-from collections import deque
-from pathlib import Path
-
-import numpy as np
-
-from stereo_depth_ros.camera_files.extrinsics import read_extrinsics
 from stereo_depth_ros.config import MatchingConfig, PriorConfig
 from stereo_depth_ros.config.matchers import MATCHERS
-from stereo_depth_ros.core.errors import CalibrationError, ConfigError, TransformError
-from stereo_depth_ros.core.pose import Pose
+from stereo_depth_ros.core.errors import ConfigError, TransformError
 from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.nodes.base import StereoNode
-from stereo_depth_ros.nodes.range_sensor_input import RangeSensorInput
-from stereo_depth_ros.nodes.transform_input import TransformInput
-from stereo_depth_ros.ranging.placement import Placement
-from stereo_depth_ros.ranging.projection import project
-from stereo_depth_ros.ranging.sensor_points import SensorPoints
+from stereo_depth_ros.nodes.placed_sweeps import PlacedSweeps
 
 __all__ = ["PriorInput"]
 
-_SWEEPS = 10  # that are kept
-_PERIOD_NS = 10**8  # of the sweeps, while it is not known
 # A sweep is received about a period after its stamp, so that the one of the time of a pair is not there yet.
 _LATE = 2
 _IN_TIME, _LATE_SWEEP, _UNPLACED = (
@@ -49,19 +35,11 @@ class PriorInput:
 
     def __init__(self, node: StereoNode) -> None:
         config = node.parameters.get(PriorConfig)
-        self._node, self._topic, self._extrinsics_file = node, config.prior_topic, config.prior_extrinsics
-        self._sweeps: deque[SensorPoints] = deque(maxlen=_SWEEPS)
-        self._missing = ""
-        if not self._topic:
+        self._node, self._missing = node, ""
+        self._sweeps: PlacedSweeps | None = None
+        if not config.prior_topic:
             return
-        try:
-            extrinsics = read_extrinsics(Path(self._extrinsics_file).expanduser()) if self._extrinsics_file else None
-        except CalibrationError as error:
-            error.settings += ("prior_extrinsics",)
-            raise
-        self._transforms = TransformInput(node)
-        self._placement = Placement(self._transforms.tree, extrinsics)
-        self._sensor = RangeSensorInput(node, self._topic, self._on_sweep)
+        self._sweeps = PlacedSweeps(node, config.prior_topic, config.prior_extrinsics, "prior_extrinsics")
         node.diagnostics.watch_state(lambda: self._missing)
 
     def check(self, config: MatchingConfig) -> None:
@@ -80,34 +58,20 @@ class PriorInput:
 
         A sweep is in time within two of its periods, or within one where the motion meanwhile is not known.
         """
-        if not self._topic:
+        if self._sweeps is None:
             return None
         counters = self._node.diagnostics.counters
-        nearest = min(self._sweeps, key=lambda sweep: abs(sweep.stamp_ns - stamp_ns), default=None)
         try:
-            if nearest is None or abs(nearest.stamp_ns - stamp_ns) > self._limit_ns(rig, nearest):
+            sweep = self._sweeps.in_time(rig, stamp_ns, _LATE)
+            if sweep is None:
                 counters[_LATE_SWEEP] += 1
                 return None
             with self._node.diagnostics.timed("prior"):
-                points = self._placement.place(nearest, rig, stamp_ns)
-                size = (rig.width, rig.height)
-                seen = project(points, nearest.sigma_m, Pose.identity(), Triangulation.from_rig(rig), size)
+                _, seen = self._sweeps.project(sweep, rig, stamp_ns)
         except TransformError as error:
             counters[_UNPLACED] += 1
-            self._missing = f"no prior of {self._sensor.topic}: {error}"
-            if not self._transforms.available and not self._extrinsics_file:
-                self._missing += "; tf2_msgs is not installed, so that /tf_static and /tf cannot be received"
+            self._missing = f"no prior of {self._sweeps.sensor.topic}: {self._sweeps.missing(error)}"
             return None
         self._missing = ""
         counters[_IN_TIME] += 1
         return DisparityPrior(seen.disparity_px, seen.sigma_px)
-
-    def _on_sweep(self, points: SensorPoints) -> None:
-        self._sweeps.append(points)
-        for reason, count in points.dropped.items():
-            self._node.diagnostics.counters[f"range points {reason}"] += count
-
-    def _limit_ns(self, rig: StereoRig, sweep: SensorPoints) -> int:
-        gaps = np.diff(sorted(each.stamp_ns for each in self._sweeps))
-        period_ns = int(np.median(gaps)) if gaps.size else _PERIOD_NS
-        return _LATE * self._placement.limit_ns(rig, sweep.frame_id, period_ns)

@@ -7,32 +7,22 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from stereo_depth_ros.calibration.range_check import Figure, RangeCheck, RangeChecker
-from stereo_depth_ros.camera_files.extrinsics import read_extrinsics
 from stereo_depth_ros.config import CalibrationMonitorConfig
-from stereo_depth_ros.core.errors import CalibrationError, TransformError
-from stereo_depth_ros.core.pose import Pose
+from stereo_depth_ros.core.errors import TransformError
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.messages.disparity import matched_disparity
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
-from stereo_depth_ros.nodes.range_sensor_input import RangeSensorInput
-from stereo_depth_ros.nodes.transform_input import TransformInput
-from stereo_depth_ros.ranging.placement import Placement
-from stereo_depth_ros.ranging.projection import project
-from stereo_depth_ros.ranging.sensor_points import SensorPoints
+from stereo_depth_ros.nodes.placed_sweeps import PlacedSweeps
 
 __all__ = ["RangeMonitor"]
 
-_SWEEPS, _WAITING = 10, 3  # that are kept, and disparities that wait for their sweep
-_PERIOD_NS = 10**8  # of the sweeps, while it is not known
+_WAITING = 3  # disparities that wait for their sweep
 _LEAST_NS = 10**9  # between two comparisons: one takes some ten milliseconds
 _NOT_OBSERVABLE = "not observable"
 # name of each figure in the diagnostics, unit, factor, format
@@ -57,27 +47,21 @@ class RangeMonitor:
     def __init__(self, node: StereoNode, calibration: CalibrationInput, on_result: Callable[[], None]) -> None:
         config = node.parameters.get(CalibrationMonitorConfig)
         self._node, self._calibration, self._on_result = node, calibration, on_result
-        self._extrinsics_file = config.range_sensor_extrinsics
-        try:
-            extrinsics = read_extrinsics(Path(self._extrinsics_file).expanduser()) if self._extrinsics_file else None
-        except CalibrationError as error:
-            error.settings += ("range_sensor_extrinsics",)
-            raise
-        self._transforms = TransformInput(node)
-        self._placement = Placement(self._transforms.tree, extrinsics)
-        self._sweeps: deque[SensorPoints] = deque(maxlen=_SWEEPS)
+        self._sweeps = PlacedSweeps(
+            node, config.range_sensor, config.range_sensor_extrinsics, "range_sensor_extrinsics", self._on_sweep
+        )
         self._waiting: deque[tuple[Any, StereoRig]] = deque(maxlen=_WAITING)
         self._checker: tuple[StereoRig, RangeChecker] | None = None
         self._found: RangeCheck | None = None
         self._missing = ""
         self._taken_ns = -math.inf
-        self._sensor = RangeSensorInput(node, config.range_sensor, self._on_sweep)
         node.add_input("disparity", self._on_disparity)
 
     @property
     def facts(self) -> dict[str, str]:
         """The figures by name, for the diagnostics."""
-        facts = {"range sensor": f"{self._sensor.topic} {self._sensor.msgtype or 'without a publisher'}"}
+        sensor = self._sweeps.sensor
+        facts = {"range sensor": f"{sensor.topic} {sensor.msgtype or 'without a publisher'}"}
         if self._found is None:
             return facts
         for name, figure in self._found.figures.items():
@@ -95,13 +79,11 @@ class RangeMonitor:
         """What is missing or wrong, a sentence each."""
         return [self._missing] if self._missing else list(_deviations(self._found))
 
-    def _on_sweep(self, points: SensorPoints) -> None:
-        if not self._sweeps:  # its type is known now
+    def _on_sweep(self) -> None:
+        counters = self._node.diagnostics.counters
+        if not counters["sweeps"]:  # the type of the sensor is known now
             self._on_result()
-        self._sweeps.append(points)
-        self._node.diagnostics.counters["sweeps"] += 1
-        for reason, count in points.dropped.items():
-            self._node.diagnostics.counters[f"range points {reason}"] += count
+        counters["sweeps"] += 1
         self._compare_waiting()
 
     def _on_disparity(self, message: Any) -> None:
@@ -118,7 +100,7 @@ class RangeMonitor:
 
     def _compare_waiting(self) -> None:
         """Compare the disparities whose sweep and transforms are there; those that wait too long are reported."""
-        if not self._sweeps:
+        if not len(self._sweeps):
             return
         waiting, missing = list(self._waiting), ""
         self._waiting.clear()
@@ -126,13 +108,11 @@ class RangeMonitor:
             try:
                 is_done = self._compare(message, rig)
             except TransformError as error:  # which may arrive later
-                is_done, missing = False, str(error)
+                is_done, missing = False, self._sweeps.missing(error)
             if not is_done:
                 self._waiting.append((message, rig))
         if missing and len(self._waiting) < _WAITING:
             return
-        if missing and not self._transforms.available and not self._extrinsics_file:
-            missing += "; tf2_msgs is not installed, so that /tf_static and /tf cannot be received"
         if missing != self._missing:
             self._missing = missing
             self._on_result()
@@ -140,16 +120,14 @@ class RangeMonitor:
     def _compare(self, message: Any, rig: StereoRig) -> bool:
         """Compare with the nearest sweep; False where it is not in time."""
         at_ns = stamp_ns(message.header)
-        nearest = min(self._sweeps, key=lambda sweep: abs(sweep.stamp_ns - at_ns))
-        if abs(nearest.stamp_ns - at_ns) > self._placement.limit_ns(rig, nearest.frame_id, self._period_ns()):
+        sweep = self._sweeps.in_time(rig, at_ns)
+        if sweep is None:
             return False
         disparity_px = matched_disparity(message, rig, self._node.resolve_topic_name("disparity"))
-        triangulation = Triangulation.from_rig(rig)
         with self._node.diagnostics.timed("range check"):
-            points = self._placement.place(nearest, rig, at_ns)
-            seen = project(points, nearest.sigma_m, Pose.identity(), triangulation, disparity_px.shape[::-1])
+            points, seen = self._sweeps.project(sweep, rig, at_ns)
             if self._checker is None or self._checker[0] is not rig:
-                self._checker = rig, RangeChecker(triangulation)
+                self._checker = rig, RangeChecker(Triangulation.from_rig(rig))
             self._checker[1].add(disparity_px, points[seen.index[seen.index >= 0]])
             self._found = self._checker[1].check()
         counters = self._node.diagnostics.counters
@@ -158,10 +136,6 @@ class RangeMonitor:
         counters["disparities compared"] += 1
         self._on_result()
         return True
-
-    def _period_ns(self) -> int:
-        gaps = np.diff(sorted(sweep.stamp_ns for sweep in self._sweeps))
-        return int(np.median(gaps)) if gaps.size else _PERIOD_NS
 
 
 def _deviations(found: RangeCheck | None) -> Iterator[str]:

@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from stereo_depth_ros.core.transforms import Transforms
-from stereo_depth_ros.messages.motion import TREE_TYPE, tree_poses
+from stereo_depth_ros.messages.motion import tree_poses
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.message_types import message_class
 
@@ -19,6 +19,7 @@ __all__ = ["TransformInput"]
 
 _KEEP_NS = 10 * 10**9  # as tf2
 _DEPTH = 100  # as tf2: of messages of several publishers
+_TYPE = "tf2_msgs/msg/TFMessage"
 
 
 class TransformInput:
@@ -37,16 +38,14 @@ class TransformInput:
     def __init__(self, node: StereoNode) -> None:
         self._node = node
         self.tree = Transforms(keep_ns=_KEEP_NS)
-        self.available = importlib.util.find_spec(TREE_TYPE.partition("/")[0]) is not None
+        self.available = importlib.util.find_spec(_TYPE.partition("/")[0]) is not None
         if self.available:
             for topic, durability in (
                 ("/tf_static", DurabilityPolicy.TRANSIENT_LOCAL),
                 ("/tf", DurabilityPolicy.VOLATILE),
             ):
                 qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
-                node.create_subscription(
-                    message_class(TREE_TYPE), topic, functools.partial(self.receive, topic=topic), qos
-                )
+                node.create_subscription(message_class(_TYPE), topic, functools.partial(self.receive, topic=topic), qos)
 
     def receive(self, message: Any, topic: str) -> None:
         """Add the transforms of a message of /tf_static or /tf."""
