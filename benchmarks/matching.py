@@ -4,7 +4,7 @@
 
 python benchmarks/matching.py
 python benchmarks/matching.py --data ~/stereo --scenes cones Art --parts accuracy locking
-python benchmarks/matching.py --parts speed limit --rounds 30 --json matching.json
+python benchmarks/matching.py --parts speed --rounds 30 --json matching.json
 
 SGBM, 3WAY and BM are bare OpenCV matchers, which return 16-bit fixed point. The others are those of this package with
 their defaults, except `sgbm`, which has the parameters of SGBM and of 3WAY. `sgbm` and `bm` have the disparities of
@@ -31,7 +31,6 @@ import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import core_count
-from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.evaluation.evaluator import search_range
@@ -40,7 +39,6 @@ from stereo_depth_ros.evaluation.metrics import disparity_errors
 from stereo_depth_ros.evaluation.scenes import Scene, find_scenes
 from stereo_depth_ros.files.output import write_file
 from stereo_depth_ros.matching import create_matcher
-from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
 
 Call: TypeAlias = Callable[[U8, U8], npt.NDArray[Any]]  # float32 px with NaN, or OpenCV's int16 in 1/16 px
 Row: TypeAlias = dict[str, Any]
@@ -96,6 +94,8 @@ _AS_SGBM = {"correlation_window_size": 3, "P1": 72.0, "P2": 288.0, "disp12_max_d
 METHODS: dict[str, Callable[[MatchingConfig], Call]] = {
     "sgm": _ours("sgm"),
     "sgm dense": _ours("sgm", fill_holes=True),
+    "sgm fast": _ours("sgm", quality="fast"),
+    "sgm best": _ours("sgm", quality="best"),
     "sgm 8 paths": _ours("sgm", sgm_paths=8),
     "SGBM": _opencv_sgbm(cv2.STEREO_SGBM_MODE_SGBM),
     "sgbm": _ours("sgbm", **_AS_SGBM, speckle_range=2),
@@ -104,7 +104,16 @@ METHODS: dict[str, Callable[[MatchingConfig], Call]] = {
     "bm": _ours("bm"),
     "BM": _opencv_bm,
 }
-COMPARED = ("sgm", "sgm dense", "sgm 8 paths", "SGBM", "3WAY", "bm")  # the others equal one of these
+COMPARED = (
+    "sgm",
+    "sgm dense",
+    "sgm fast",
+    "sgm best",
+    "sgm 8 paths",
+    "SGBM",
+    "3WAY",
+    "bm",
+)  # the others equal one of these
 
 
 def disparities(call: Call, left: U8, right: U8, search: MatchingConfig) -> F32:
@@ -302,104 +311,6 @@ def _use_cores(cores: int) -> None:
     cv2.setNumThreads(core_count())
 
 
-class Stage(NamedTuple):
-    """A step of sgm with 4 paths, for one pixel and disparity.
-
-    ``rows`` that it processes: "costs" the strip and the overlap on both sides, "path" the strip and the overlap on one
-    side, "once" the strip. ``operations`` of vector registers, counted in bytes: one on 16-bit lanes counts as two.
-    ``nearest`` bytes are loaded and stored per pixel, ``row`` bytes in buffers of a row, ``strip`` in those of a strip.
-    """
-
-    name: str
-    rows: str
-    operations: int
-    nearest: int
-    row: int
-    strip: int
-
-
-STAGES = (
-    Stage("Hamming distance", "costs", 24, 8, 1, 0),  # 64-bit exclusive or, population count, narrowing
-    Stage("smoothing along x", "costs", 2, 2, 2, 0),
-    Stage("smoothing along y", "costs", 2, 0, 3, 1),
-    Stage("path from above", "path", 7, 2, 1, 2),  # the previous path costs are loaded at three offsets
-    Stage("path from below", "path", 7, 2, 2, 1),
-    Stage("path from left", "once", 7, 4, 1, 0),
-    Stage("sum", "once", 10, 1, 3, 1),
-    Stage("path from right", "once", 7, 4, 1, 0),
-    Stage("keys", "once", 20, 9, 2, 0),
-    Stage("lowest and second key", "once", 16, 12, 0, 0),
-    Stage("keys of right pixels", "once", 4, 12, 0, 0),
-)
-
-
-def limit(scene: Scene, rounds: int) -> list[Row]:
-    """The operations of sgm, and the time of one core for them at its measured peak rates; see :class:`Stage`."""
-    return [in_process(1, _limit, size, scene.left, scene.right, rounds) for size in SIZES]
-
-
-def _limit(size: tuple[int, int, int], left: U8, right: U8, rounds: int) -> Row:
-    width, height, count = size
-    left, right = (cv2.resize(side, (width, height)) for side in (left, right))
-    matcher = SemiGlobalMatcher(MatchingConfig(num_disparities=count))
-    ms = min(timed_ms({"sgm": lambda a, b: matcher.match(a, b).disparity_px}, left, right, rounds)["sgm"])
-    strips, approach = matcher._strips, matcher._search.approach_rows
-    one_side = approach * (strips - 1) / height
-    times = {"once": 1.0, "path": 1 + one_side, "costs": 1 + 2 * one_side}
-    work = {part: sum(getattr(s, part) * times[s.rows] for s in STAGES) for part in Stage._fields[2:]}
-    lanes_per_s = peak(_operate, 1 << 13, rounds) * _OPERATIONS
-    strip_bytes = 2 * (height // strips + 2 * approach) * width * count
-    row_rate, strip_rate = (2 * peak(_copy, n // 2, rounds) for n in (4 * width * count, strip_bytes))
-    points = 1e3 * width * height * count
-    compute_ms = work["operations"] * points / lanes_per_s
-    memory_ms = points * (work["row"] / row_rate + work["strip"] / strip_rate)
-    return {
-        "size": f"{width}x{height}/{count}",
-        "rows of a strip": height / strips,
-        "costs computed": times["costs"],
-        "byte operations": work["operations"],
-        "bytes near, row, strip": "{nearest:.0f}, {row:.1f}, {strip:.1f}".format(**work),
-        "peak 10^9/s": f"{lanes_per_s / 1e9:.0f}, row {row_rate / 1e9:.0f} B, strip {strip_rate / 1e9:.0f} B",
-        "computing ms": compute_ms,
-        "memory ms": memory_ms,
-        "best ms": max(compute_ms, memory_ms),
-        "sgm ms": ms,
-        "ratio to best": ms / max(compute_ms, memory_ms),
-    }
-
-
-_OPERATIONS = 16  # by _operate on every byte
-
-
-@compiled("void(int64, uint8[::1], uint8[::1], uint8, uint8)")
-def _operate(repeats: int, a: U8, b: U8, p: np.uint8, q: np.uint8) -> None:
-    for _ in range(repeats):
-        for k in range(a.size):
-            value = a[k]
-            for _ in range(_OPERATIONS // 2):
-                value = max(np.uint8(value + p), q)
-            b[k] = value
-
-
-@compiled("void(int64, uint8[::1], uint8[::1], uint8, uint8)")
-def _copy(repeats: int, a: U8, b: U8, p: np.uint8, q: np.uint8) -> None:
-    for _ in range(repeats):
-        for k in range(a.size):
-            b[k] = np.uint8(a[k] + p)
-
-
-def peak(kernel: Callable[..., None], size: int, rounds: int) -> float:
-    """Maximum number of bytes per second that the kernel processes in an array of ``size`` bytes."""
-    a, b = np.full((2, size), 1, np.uint8)  # not zeros: untouched zero pages share one physical page
-    repeats = max((1 << 26) // size, 1)
-    least = float("inf")
-    for _ in range(rounds):
-        begin = time.perf_counter()
-        kernel(repeats, a, b, np.uint8(1), np.uint8(2))
-        least = min(least, time.perf_counter() - begin)
-    return repeats * size / least
-
-
 def table(title: str, rows: Sequence[Row]) -> None:
     """Print rows with equal keys as a Markdown table."""
     if not rows:
@@ -431,9 +342,9 @@ def main() -> None:
     default = os.environ.get("STEREO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
     parser.add_argument("--data", type=Path, default=Path(default), help="folder of scenes with ground truth")
     parser.add_argument("--scenes", nargs="+", default=[], help="names of scenes; default: all")
-    parts = ("accuracy", "prior", "locking", "speed", "limit")
+    parts = ("accuracy", "prior", "locking", "speed")
     parser.add_argument("--parts", nargs="+", default=parts, choices=parts)
-    parser.add_argument("--rounds", type=int, default=15, help="number of timed rounds for speed and limit")
+    parser.add_argument("--rounds", type=int, default=15, help="number of timed rounds for speed")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all rows as JSON")
     options = parser.parse_args()
     scenes = load_scenes(options.data, options.scenes)
@@ -452,14 +363,10 @@ def main() -> None:
     if "locking" in options.parts:
         found["locking"] = locking(scenes)
         table("Fractional parts of disparities, percent", found["locking"])
-    if {"speed", "limit"} & {*options.parts}:
-        scene = load_scenes(options.data, [SPEED_SCENE])[SPEED_SCENE]
     if "speed" in options.parts:
+        scene = load_scenes(options.data, [SPEED_SCENE])[SPEED_SCENE]
         found["speed"] = speed(scene, options.rounds)
         table(f"Speed on {SPEED_SCENE}, resized; ratios to SGBM", found["speed"])
-    if "limit" in options.parts:
-        found["limit"] = limit(scene, options.rounds)
-        table("sgm on one core compared with the limits of the machine, per pixel and disparity", found["limit"])
     if options.json:
         write_file(options.json, json.dumps(found, indent=1) + "\n", overwrite=True)
 

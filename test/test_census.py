@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Census codes and their smoothed Hamming distances against the definition, written in plain Python and numpy."""
+"""Census codes and their Hamming distances against the definition, written in plain Python and numpy."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from stereo_depth_ros.matching.costs.census import (
     MARGIN,
     NEUTRAL_COST,
     census_rows,
-    cost_rows,
     empty_census,
+    hamming_row,
     padded_count,
 )
 
@@ -26,43 +26,34 @@ U64 = npt.NDArray[np.uint64]
 
 
 def census_by_definition(image: U8) -> U64:
-    """uint64 (H, W): from the top left to the bottom right neighbor of 9 x 7, a bit says darker than the center."""
+    """uint64 (H, W): from the top left to the bottom right neighbor of 7 x 5, without these two: a bit says darker."""
     height, width = image.shape
     codes = np.zeros(image.shape, np.uint64)
     for y in range(height):
         for x in range(width):
             code = 0
-            for dy in range(-3, 4):
-                for dx in range(-4, 5):
-                    if (dy, dx) != (0, 0):
+            for dy in range(-2, 3):
+                for dx in range(-3, 4):
+                    if (dy, dx) not in ((0, 0), (-2, -3), (2, 3)):
                         near = image[min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)]
                         code = 2 * code + int(near < image[y, x])
             codes[y, x] = code
     return codes
 
 
-def smoothed(values: I64, axis: int) -> I64:
-    """(1 2 1) / 4 with the ends repeated, as two means of two, each rounded up."""
-    size = values.shape[axis]
-    before = np.take(values, [max(i - 1, 0) for i in range(size)], axis)
-    after = np.take(values, [min(i + 1, size - 1) for i in range(size)], axis)
-    return ((before + after + 1) // 2 + values + 1) // 2
-
-
 def costs_by_definition(left: U64, right: U64, max_disparity: int, count: int) -> I64:
-    """int64 (H, W, K), index k is disparity ``max_disparity - k``; outside the cost at the end goes on, 31 at most."""
-    raw = continued(raw_by_definition(left, right, max_disparity, count), max_disparity)
-    return smoothed(smoothed(raw, axis=1), axis=0)
+    """int64 (H, W, K), index k is disparity ``max_disparity - k``; outside the cost at the end goes on, 16 at most."""
+    return continued(raw_by_definition(left, right, max_disparity, count), max_disparity)
 
 
 def raw_by_definition(left: U64, right: U64, max_disparity: int, count: int) -> I64:
-    """int64 (H, W, K): the Hamming distances, 31 outside the right image."""
+    """int64 (H, W, K): the Hamming distances, 16 outside the right image."""
     height, width = left.shape
     bits = [
         np.unpackbits(np.ascontiguousarray(codes).view(np.uint8).reshape(height, width, 8), axis=2)
         for codes in (left, right)
     ]
-    raw = np.full((height, width, count), 31, np.int64)
+    raw = np.full((height, width, count), 16, np.int64)
     for x in range(width):
         for k in range(count):
             if 0 <= x - max_disparity + k < width:
@@ -71,13 +62,13 @@ def raw_by_definition(left: U64, right: U64, max_disparity: int, count: int) -> 
 
 
 def continued(raw: I64, max_disparity: int) -> I64:
-    """Outside the right image the distance at its end goes on, 31 at most."""
+    """Outside the right image the distance at its end goes on, 16 at most."""
     _, width, count = raw.shape
     for x in range(width):
         seen = [k for k in range(count) if 0 <= x - max_disparity + k < width]
         if seen:
-            raw[:, x, : seen[0]] = np.minimum(raw[:, x, [seen[0]]], 31)
-            raw[:, x, seen[-1] + 1 :] = np.minimum(raw[:, x, [seen[-1]]], 31)
+            raw[:, x, : seen[0]] = np.minimum(raw[:, x, [seen[0]]], 16)
+            raw[:, x, seen[-1] + 1 :] = np.minimum(raw[:, x, [seen[-1]]], 16)
     return raw
 
 
@@ -105,17 +96,16 @@ def codes_of(buffer: U8) -> U64:
     return codes
 
 
-def costs(left: U64, right: U64, max_disparity: int, count: int, first: int = 0, last: int | None = None) -> U8:
+def costs(left: U64, right: U64, max_disparity: int, count: int) -> U8:
     height, width = left.shape[-2:]
-    last = height if last is None else last
     size = padded_count(count)
-    raw, smooth = np.empty((width + 2, size), np.uint8), np.empty((3, width, size), np.uint8)
-    sums = np.empty(size, np.uint16)
-    cost = np.full((last - first, width, size), 77, np.uint8)
+    raw, sums = np.full((height, width + 2, size), 77, np.uint8), np.empty(size, np.uint16)
     census = planes(np.stack([left, right], axis=-3).reshape(-1, 2, height, width))  # of one pair, or of several
-    cost_rows(census, first, last, max_disparity, count, raw, sums, smooth, cost)
-    assert (cost[..., count:] == LARGEST_COST).all()
-    return cost[..., :count]
+    for y in range(height):
+        hamming_row(census, y, max_disparity, count, raw[y], sums)
+    np.testing.assert_array_equal(raw[:, [0, -1]], raw[:, [1, -2]])
+    assert (raw[..., count:] == LARGEST_COST).all()
+    return raw[:, 1:-1, :count]
 
 
 @pytest.mark.parametrize("shape", [(13, 29), (1, 17), (9, 1), (2, 3)])
@@ -158,36 +148,24 @@ def test_costs_are_those_of_the_definition(shape: tuple[int, int], max_disparity
     left, right = (rng.integers(0, 1 << CENSUS_BITS, shape, np.uint64) for _ in range(2))
     expected = costs_by_definition(left, right, max_disparity, count)
     np.testing.assert_array_equal(costs(left, right, max_disparity, count), expected)
-    for first, last in ((0, 1), (shape[0] // 2, shape[0]), (shape[0] - 1, shape[0])):
-        band = costs(left, right, max_disparity, count, first, last)
-        np.testing.assert_array_equal(band, expected[first:last])
 
 
 @pytest.mark.parametrize("pairs", [2, 3, 64])
 def test_costs_of_several_pairs_are_the_means_of_their_distances(pairs: int) -> None:
     rng = np.random.default_rng(4)
     left, right = (rng.integers(0, 1 << CENSUS_BITS, (pairs, 5, 40), np.uint64) for _ in range(2))
-    left[-1], right[-1] = 0, (1 << CENSUS_BITS) - 1  # 62, the largest
+    left[-1], right[-1] = 0, (1 << CENSUS_BITS) - 1  # 32, the largest
     distances = [raw_by_definition(*pair, 20, 32) for pair in zip(left, right, strict=True)]
     mean = np.floor(np.mean(distances, axis=0) + 0.5).astype(np.int64)
-    expected = smoothed(smoothed(continued(mean, 20), axis=1), axis=0)
-    np.testing.assert_array_equal(costs(left, right, 20, 32), expected)
-
-
-def test_costs_computed_by_hand() -> None:
-    left = np.zeros((1, 3), np.uint64)
-    right = np.array([[0, 0b111, 0xFF]], np.uint64)  # distances 0, 3, 8
-    # (0 + 3) / 2 -> 2, with 0: 1; (0 + 8) / 2 = 4, with 3 -> 4; (3 + 8) / 2 -> 6, with 8: 7
-    np.testing.assert_array_equal(costs(left, right, 0, 1)[0, :, 0], [1, 4, 7])
-    np.testing.assert_array_equal(costs(left.T.copy(), right.T.copy(), 0, 1)[:, 0, 0], [1, 4, 7])
+    np.testing.assert_array_equal(costs(left, right, 20, 32), continued(mean, 20))
 
 
 def test_costs_are_bounded_by_the_bits_and_continue_outside() -> None:
     left = np.zeros((4, 20), np.uint64)
     right = np.full((4, 20), (1 << CENSUS_BITS) - 1, np.uint64)
     cost = costs(left, right, 31, 32)
-    assert CENSUS_BITS == 62 and NEUTRAL_COST == 31
-    assert (cost[:, 19, 13:] == 62).all()  # disparities 0..18, and so for the pixel to the left
-    assert (cost[:, :, :11] == 31).all()  # 21..31: beyond the image for every pixel
+    assert CENSUS_BITS == 32 and NEUTRAL_COST == 16
+    assert (cost[:, 19, 12:] == 32).all()  # disparities 0..19
+    assert (cost[:, :, :11] == 16).all()  # 21..31: beyond the image for every pixel
     np.testing.assert_array_equal(costs(left, left, 31, 32), np.zeros((4, 20, 32)))
-    assert (costs(left, left, 60, 32) == 31).all()  # 29..60: no pixel sees any
+    assert (costs(left, left, 60, 32) == 16).all()  # 29..60: no pixel sees any

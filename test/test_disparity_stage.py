@@ -56,7 +56,7 @@ def textured_pair() -> tuple[U8, U8]:
 
 @pytest.mark.parametrize(
     ("matcher", "fill_holes", "support_px"),
-    [("sgm", False, (9, 7)), ("sgm", True, (9, 7)), ("window", False, (5, 5))],
+    [("sgm", False, (7, 5)), ("sgm", True, (7, 5)), ("window", False, (5, 5))],
 )
 def test_a_disparity_needs_valid_pixels_of_both_cameras(
     matcher: str, fill_holes: bool, support_px: tuple[int, int]

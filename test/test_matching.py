@@ -394,7 +394,7 @@ def test_real_pairs(stereo_data: Path, scene: str) -> None:
         assert errors.density > least_density
 
 
-@pytest.mark.parametrize(("name", "window"), [("sgm", "9 x 7"), ("features", "15 x 15")])
+@pytest.mark.parametrize(("name", "window"), [("sgm", "7 x 5"), ("features", "15 x 15")])
 def test_small_images_name_the_support_of_the_method(name: str, window: str) -> None:
     """Not the parameter of a window that these methods do not have."""
     matcher = create_matcher(name, min_disparity=60, num_disparities=32, correlation_window_size=101)

@@ -9,7 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from stereo_depth_ros.core.types import U8
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS, LARGEST_COST, padded_count
+from stereo_depth_ros.matching.costs.census import LARGEST_COST, padded_count
+from stereo_depth_ros.matching.sgm.cost_rows import LARGEST_SMOOTHED
 from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST, path_step, start_path, step_row
 
 I64 = npt.NDArray[np.int64]
@@ -46,11 +47,11 @@ def filled(costs: I64) -> U8:
 
 
 @pytest.mark.parametrize("count", [1, 2, 37, 64, 100, 192])
-@pytest.mark.parametrize(("P1", "P2"), [(1, 192), (96, 97), (30, 150), (5, 5)])
+@pytest.mark.parametrize(("P1", "P2"), [(1, 190), (95, 96), (30, 150), (5, 5)])
 @pytest.mark.parametrize("in_place", [False, True])
 def test_steps_along_a_path(count: int, P1: int, P2: int, in_place: bool) -> None:
     rng = np.random.default_rng(count)
-    costs = rng.choice([0, 1, 20, 31, CENSUS_BITS], (150, count), p=[0.2, 0.1, 0.2, 0.1, 0.4])
+    costs = rng.choice([0, 1, 20, 31, LARGEST_SMOOTHED], (150, count), p=[0.2, 0.1, 0.2, 0.1, 0.4])
     before, after = np.zeros((2, padded_count(count)), np.uint8)
     least = start_path(filled(costs[0]), before)
     expected = costs[0].astype(np.int64)
@@ -66,10 +67,10 @@ def test_steps_along_a_path(count: int, P1: int, P2: int, in_place: bool) -> Non
 
 
 def test_a_step_at_the_largest_penalties_fills_8_bits() -> None:
-    P1, P2 = 1, LARGEST_PATH_COST - CENSUS_BITS - 1
+    P1, P2 = 1, LARGEST_PATH_COST - LARGEST_SMOOTHED - 1
     path = filled(np.array([0, 255 - P1, 255 - P1, 255 - P1, 255 - P1]))
-    path_step(path, np.uint8(0), filled(np.full(5, CENSUS_BITS)), np.uint8(P1), np.uint8(P2), path)
-    np.testing.assert_array_equal(path, filled(np.array([62, 63, 254, 254, 254])))
+    path_step(path, np.uint8(0), filled(np.full(5, LARGEST_SMOOTHED)), np.uint8(P1), np.uint8(P2), path)
+    np.testing.assert_array_equal(path, filled(np.array([64, 65, 254, 254, 254])))
 
 
 @pytest.mark.parametrize("shift", [0, 1, -1])
@@ -77,7 +78,7 @@ def test_rows_of_an_image(shift: int) -> None:
     height, width, count, P1 = 6, 11, 16, 20
     rng = np.random.default_rng(4)
     image = rng.integers(0, 256, (height, width), np.uint8)
-    cost = rng.integers(0, CENSUS_BITS + 1, (height, width, count))
+    cost = rng.integers(0, LARGEST_SMOOTHED + 1, (height, width, count))
     P2 = np.linspace(170, P1, 256).astype(np.uint8)
     path, least = np.zeros_like(filled(cost)), np.zeros((height, width), np.uint8)
     for y in range(height):

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from test_census import I64, census_by_definition, costs_by_definition
+from test_cost_rows import permeably_smoothed, plainly_smoothed
 from test_path_costs import path_by_definition
 
 from stereo_depth_ros.config import MatchingConfig
@@ -25,8 +26,10 @@ from stereo_depth_ros.matching.local_consistency import local_consistency
 from stereo_depth_ros.matching.sgm import semi_global_matching
 from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
 
-FOUR_PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0))
+THREE_PATHS = ((0, 1), (0, -1), (1, 0))
+FOUR_PATHS = (*THREE_PATHS, (-1, 0))
 EIGHT_PATHS = (*FOUR_PATHS, (1, 1), (1, -1), (-1, 1), (-1, -1))
+PATHS = {3: THREE_PATHS, 4: FOUR_PATHS, 8: EIGHT_PATHS}
 
 
 def matcher(**fields: Any) -> SemiGlobalMatcher:
@@ -48,24 +51,43 @@ def patches(height: int, width: int, low: int, high: int, seed: int = 0) -> tupl
     return left + rng.integers(0, 5, left.shape, np.uint8), right
 
 
+def sums_by_definition(left: U8, right: U8, config: MatchingConfig, paths: int) -> tuple[I64, I64]:
+    """Costs and sums of the paths over the whole image, int64 (H, W, K)."""
+    raw = costs_by_definition(
+        census_by_definition(left), census_by_definition(right), config.max_disparity, config.num_disparities
+    )
+    cost = plainly_smoothed(raw) if config.quality == "fast" else permeably_smoothed(raw, left)
+    P1, P2 = (30, 150) if config.quality == "fast" else (17, 103)
+    P1, P2 = config.sgm_P1 or P1, config.sgm_P2 or P2
+    lowered = np.maximum(6 * P2 // (6 + np.arange(256)), P1)
+    return cost, sum((path_by_definition(cost, left, P1, lowered, *way) for way in PATHS[paths]), np.zeros_like(cost))
+
+
 def whole_image(left: U8, right: U8, config: MatchingConfig) -> tuple[F32, U8, F32]:
     """Disparities, reasons and margins of the definition, over the whole image, without a speckle filter."""
     height, width = left.shape
     count, top = config.num_disparities, config.max_disparity
-    cost = costs_by_definition(census_by_definition(left), census_by_definition(right), top, count)
-    P2 = np.maximum(6 * config.sgm_P2 // (6 + np.arange(256)), config.sgm_P1)
-    directions = FOUR_PATHS if config.sgm_paths == 4 else EIGHT_PATHS
-    sums = sum((path_by_definition(cost, left, config.sgm_P1, P2, *way) for way in directions), np.zeros_like(cost))
+    cost, sums = sums_by_definition(left, right, config, config.sgm_paths or (4 if config.quality == "best" else 3))
     right_x = np.arange(width)[:, None] - top + np.arange(count)  # (W, K)
     seen = (right_x >= 0) & (right_x < width)
+    mirrored = None
+    if config.quality == "best":  # the right image on its own: mirrored, it is a left one
+        mirrored = sums_by_definition(right[:, ::-1], left[:, ::-1], config, 3)[1]
+    checked = config.quality != "fast" and config.uniqueness_ratio > 0
     disparity_px = np.full(left.shape, np.nan, np.float32)
     reasons = np.full(left.shape, Reason.BORDER, np.uint8)
     margins = np.zeros(left.shape, np.float32)
     for y in range(height):
         prefers = preferred_by_right_pixels(sums[y], right_x, seen)
+        if mirrored is not None:
+            best = [winner(mirrored[y, x], seen[x], top)[0] for x in range(width) if seen[x].any()]
+            columns = [width - 1 - x for x in range(width) if seen[x].any()]
+            prefers = dict(zip(columns, best, strict=True))
         for x in np.flatnonzero(seen.any(axis=1)):
             k, disparity, margin = winner(sums[y, x], seen[x], top)
-            if margin < config.uniqueness_ratio / 300:
+            mean = np.float32(cost[y, x].sum()) * (np.float32(1) / np.float32(count))
+            alike = mean - np.float32(cost[y, x, k]) < max(np.float32(0.12) * mean, np.float32(1.5))
+            if margin < config.uniqueness_ratio / 300 or (alike and checked):
                 reasons[y, x] = Reason.UNIQUENESS
             elif abs(prefers[right_x[x, k]] - k) > max(config.disp12_max_diff, 1):
                 reasons[y, x] = Reason.LEFT_RIGHT
@@ -119,12 +141,15 @@ def check_equal(result: MatchResult, other: MatchResult) -> None:
 
 CASES: list[tuple[tuple[int, int], dict[str, Any]]] = [
     ((19, 71), {}),
+    ((19, 71), {"quality": "fast"}),
+    ((20, 67), {"quality": "best"}),
     ((20, 67), {"sgm_paths": 8, "sgm_P1": 7, "sgm_P2": 41}),
-    ((18, 74), {"sgm_P1": 96, "sgm_P2": 97}),  # the most that 8 bits hold
+    ((18, 74), {"sgm_P1": 95, "sgm_P2": 96, "quality": "fast"}),  # the most that 8 bits hold
     ((17, 70), {"min_disparity": -9, "disp12_max_diff": 3, "sgm_P2": 161}),
     ((16, 83), {"min_disparity": 11, "num_disparities": 48, "uniqueness_ratio": 0.0, "sgm_paths": 8}),
-    ((12, 62), {"min_disparity": -45, "uniqueness_ratio": 60.0}),  # -45..-14
-    ((13, 20), {"num_disparities": 64}),  # images narrower than the range
+    ((16, 83), {"min_disparity": -20, "num_disparities": 80, "quality": "best"}),
+    ((12, 62), {"min_disparity": -45, "uniqueness_ratio": 30.0}),  # -45..-14
+    ((13, 20), {"num_disparities": 64, "quality": "fast", "sgm_paths": 4}),  # images narrower than the range
     ((1, 90), {"sgm_paths": 8}),
     ((7, 1), {"uniqueness_ratio": 0.0}),
     ((2, 33), {"min_disparity": -2048, "num_disparities": 4096, "sgm_paths": 8}),
@@ -148,7 +173,7 @@ def test_result_is_that_of_the_definition(shape: tuple[int, int], fields: dict[s
         assert (reasons == Reason.UNIQUENESS).any() or not config.uniqueness_ratio
 
 
-@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("paths", [0, 4, 8])
 def test_strips_with_enough_warm_up_equal_the_whole_image(paths: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(semi_global_matching, "APPROACH_ROWS", 100)
     sgm = matcher(num_disparities=32, speckle_size=0, sgm_paths=paths)
@@ -159,7 +184,7 @@ def test_strips_with_enough_warm_up_equal_the_whole_image(paths: int, monkeypatc
     np.testing.assert_array_equal(result.disparity_px, disparity_px)
 
 
-@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("paths", [0, 4])
 def test_strips_differ_little_from_the_whole_image(paths: int, monkeypatch: pytest.MonkeyPatch) -> None:
     left, right = patches(240, 160, 2, 25)
     strips = matcher(num_disparities=32, sgm_paths=paths).match(left, right)
@@ -172,7 +197,10 @@ def test_strips_differ_little_from_the_whole_image(paths: int, monkeypatch: pyte
     assert far.mean() < 0.002
 
 
-@pytest.mark.parametrize("fields", [{}, {"sgm_paths": 8, "disparity_filter": "median", "fill_holes": True}])
+@pytest.mark.parametrize(
+    "fields",
+    [{}, {"quality": "best"}, {"sgm_paths": 8, "disparity_filter": "median", "fill_holes": True, "quality": "fast"}],
+)
 def test_bytes_do_not_depend_on_the_cores(fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     left, right = patches(211, 130, 0, 28)
     results = []
@@ -223,8 +251,9 @@ def shifted(height: int, width: int, shift: int, seed: int = 5) -> tuple[U8, U8]
 
 
 @pytest.mark.parametrize("shift", [5, -5, 30, 0])
-def test_visible_points_are_found_where_the_range_leaves_the_image(shift: int) -> None:
-    result = matcher(min_disparity=-16, num_disparities=64).match(*shifted(61, 117, shift))
+@pytest.mark.parametrize("quality", ["default", "best"])
+def test_visible_points_are_found_where_the_range_leaves_the_image(shift: int, quality: str) -> None:
+    result = matcher(min_disparity=-16, num_disparities=64, quality=quality).match(*shifted(61, 117, shift))
     check(result, (61, 117))
     columns = np.arange(117)
     both = (columns - shift >= 0) & (columns - shift < 117)
@@ -232,7 +261,8 @@ def test_visible_points_are_found_where_the_range_leaves_the_image(shift: int) -
     assert valid[:, both].mean() > 0.99
     assert valid[:, ~both].sum() < 0.01 * valid.size
     # The right whole disparity wins; costs of noise on either side differ by chance, next to the border the most.
-    np.testing.assert_allclose(result.disparity_px[:, both][valid[:, both]], shift, atol=0.5)
+    wrong = np.abs(result.disparity_px[:, both][valid[:, both]] - shift) > 0.5
+    assert wrong.sum() <= 1  # of 6832, at the border
 
 
 @pytest.mark.parametrize("shift", [2000, -2000])
@@ -330,18 +360,23 @@ def test_images_without_texture_have_no_disparity(fields: dict[str, Any]) -> Non
     assert (result.reasons == Reason.UNIQUENESS).all()
 
 
-def test_images_with_hardly_any_texture_have_hardly_any_disparity() -> None:
+@pytest.mark.parametrize("quality", ["default", "best"])
+def test_images_with_hardly_any_texture_have_hardly_any_disparity(quality: str) -> None:
     rng = np.random.default_rng(0)
     left, right = (90 + (rng.uniform(size=(120, 210)) < 0.01).astype(np.uint8) for _ in range(2))  # unrelated
-    assert matcher().match(left, right).valid_fraction < 0.03
+    assert matcher(quality=quality).match(left, right).valid_fraction < 0.03
+    left, right = (np.rint(rng.normal(90, 0.6, (120, 210))).astype(np.uint8) for _ in range(2))
+    assert matcher(quality=quality).match(left, right).valid_fraction < 0.03
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
         ({"sgm_P1": 50, "sgm_P2": 50}, r"sgm_P2 = 50 is not above sgm_P1 = 50: raise it"),
-        ({"sgm_P1": 31, "sgm_P2": 163}, r"sgm_P1 \+ sgm_P2 = 194 is above 193.*lower one"),
+        ({"sgm_P2": 17}, r"sgm_P2 = 17 is not above sgm_P1 = 17: raise it"),
+        ({"sgm_P1": 31, "sgm_P2": 161}, r"sgm_P1 \+ sgm_P2 = 192 is above 191.*lower one"),
         ({"sgm_paths": 6}, r"sgm_paths = 6 .*use 4 or 8"),
+        ({"quality": "better"}, r"quality = .better. is not one of fast, default, best"),
     ],
 )
 def test_refused_parameters(fields: dict[str, Any], message: str) -> None:
@@ -350,7 +385,7 @@ def test_refused_parameters(fields: dict[str, Any], message: str) -> None:
 
 
 def test_largest_penalties_are_accepted() -> None:
-    assert matcher(sgm_P1=31, sgm_P2=162).config.sgm_P2 == 162
+    assert matcher(sgm_P1=31, sgm_P2=160).config.sgm_P2 == 160
 
 
 @pytest.mark.parametrize(("low", "width"), [(50, 50), (-100, 69), (0, 0)])  # 50..81, -100..-69

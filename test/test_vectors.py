@@ -58,6 +58,7 @@ def _of_words(a: U16, b: U16, codes: U8, out: U16, masks: U64) -> None:
     masks[0] = v.equal(x, y)
     masks[1] = v.least_lane(x)
     masks[2] = v.first_lane(masks[0])
+    masks[3] = v.sum_of_lanes(x)
 
 
 def operands(dtype: Any, count: int) -> tuple[Any, Any, Any]:
@@ -104,7 +105,7 @@ def test_operations_on_words() -> None:
     a, b, x = operands(np.uint16, WORDS)
     y, wide = b[:WORDS], x.astype(int) + b[:WORDS]
     codes = np.random.default_rng(9).integers(0, 256, BYTES).astype(np.uint8)
-    out, masks = np.full((12, WORDS + 1), 77, np.uint16), np.zeros(3, np.uint64)
+    out, masks = np.full((12, WORDS + 1), 77, np.uint16), np.zeros(4, np.uint64)
     _of_words(a, b, codes, out, masks)
     expected = [
         np.minimum(x, y),
@@ -122,7 +123,7 @@ def test_operations_on_words() -> None:
     ]
     np.testing.assert_array_equal(out[:, :WORDS], expected)
     assert (out[:, WORDS:] == 77).all()
-    assert masks.tolist() == [mask_of(x == y), x.min(), 1]
+    assert masks.tolist() == [mask_of(x == y), x.min(), 1, x.sum()]
 
 
 def test_without_a_set_bit_there_is_no_first_lane() -> None:

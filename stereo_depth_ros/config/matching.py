@@ -106,10 +106,24 @@ class SgmConfig(Checked):
         "Matching costs: Hamming distances of the census, or products of features by the network in onnx_model.",
         choices=("census", "onnx"),
     )
-    sgm_paths: int = parameter(4, "Number of path directions, 4 or 8.", low=4, high=8, step=4)
-    sgm_P1: int = parameter(30, "Penalty on disparity changes of 1 px, in census bits.", low=1, high=96)
+    quality: str = parameter(
+        "default",
+        "Preset: fast, three paths and plain costs; default, costs that follow the edges of the image; best, four "
+        "paths and a match of the right image on its own.",
+        choices=("fast", "default", "best"),
+    )
+    sgm_paths: int = parameter(
+        0, "Number of path directions, 4 or 8; 0 uses that of the quality, 3 or 4.", low=0, high=8, step=4
+    )
+    sgm_P1: int = parameter(
+        0, "Penalty on disparity changes of 1 px, in half census bits; 0 uses that of the quality.", low=0, high=96
+    )
     sgm_P2: int = parameter(
-        150, "Penalty on larger disparity changes, in census bits; lower at intensity edges.", low=2, high=192
+        0,
+        "Penalty on larger disparity changes, in half census bits, lower at intensity edges; 0 uses that of the "
+        "quality.",
+        low=0,
+        high=190,
     )
     disparity_filter: str = parameter(
         "mean",

@@ -41,6 +41,7 @@ __all__ = [
     "store",
     "subtract",
     "subtract_saturated",
+    "sum_of_lanes",
     "union",
     "where_less",
     "xor",
@@ -120,9 +121,8 @@ def _by_sign(name: str) -> Any:
 
 
 def _multiply_high(builder: Any, a: Any, b: Any) -> Any:
-    wide = _vector(32, WORDS)
-    product = builder.mul(builder.zext(a, wide), builder.zext(b, wide))
-    return builder.trunc(builder.lshr(product, _constant(wide, 16)), a.type)
+    # As a product of fixed-point numbers. LLVM would take one of words of 32 bits, shifted, apart.
+    return _call(builder, "umul.fix", a.type, a, b, ir.Constant(ir.IntType(32), 16))
 
 
 def _mean(builder: Any, a: Any, b: Any) -> Any:
@@ -218,6 +218,19 @@ def least_lane(_context: Any, vector: Any) -> Any:
         return _call(builder, name, ir.IntType(vector.bits), *arguments)
 
     return _ELEMENTS[vector](vector), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def sum_of_lanes(_context: Any, vector: Any) -> Any:
+    """The sum of the lanes of words."""
+    if vector != _U16:
+        return None
+
+    def generate(_target: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        wide = builder.zext(arguments[0], _vector(32, WORDS))
+        return _call(builder, "vector.reduce.add", ir.IntType(32), wide)
+
+    return types.uint32(vector), generate
 
 
 def _mask(condition: str) -> Any:

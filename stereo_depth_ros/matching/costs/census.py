@@ -18,15 +18,23 @@ __all__ = [
     "LARGEST_COST",
     "MARGIN",
     "census_rows",
-    "cost_rows",
     "empty_census",
+    "hamming_row",
     "padded_count",
+    "quarter_half_quarter",
 ]
 
-RADIUS_X, RADIUS_Y = 4, 3
+RADIUS_X, RADIUS_Y = 3, 2
 CENSUS_WINDOW = (2 * RADIUS_X + 1, 2 * RADIUS_Y + 1)  # width, height
-CENSUS_BITS = CENSUS_WINDOW[0] * CENSUS_WINDOW[1] - 1
-CENSUS_PLANES = -(-CENSUS_BITS // 8)
+_OPPOSITE = {(-RADIUS_X, -RADIUS_Y), (RADIUS_X, RADIUS_Y)}  # corners without a bit, so that a code has 32 bits
+NEIGHBORS = tuple(
+    (i, j)
+    for j in range(-RADIUS_Y, RADIUS_Y + 1)
+    for i in range(-RADIUS_X, RADIUS_X + 1)
+    if (i, j) != (0, 0) and (i, j) not in _OPPOSITE
+)
+CENSUS_BITS = len(NEIGHBORS)
+CENSUS_PLANES = CENSUS_BITS // 8
 MARGIN = BYTES  # columns before and after the image, so that vectors may begin before it and end behind it
 NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # average cost of unrelated pixels
 LARGEST_COST = np.uint8(255)  # of the disparities that only fill a vector: they never win
@@ -54,7 +62,9 @@ def _add_bit(neighbors: U8, centers: U8, codes: U8) -> None:
 
 @compiled(numba.void(numba.int64, numba.int64, READ_ONLY_U8, numba.uint8[:, :, ::1]))
 def census_rows(first: int, last: int, image: U8, codes: U8) -> None:
-    """Census transform with a window of 9 x 7: a bit is set if the neighbor is darker than the center.
+    """Census transform with a window of 7 x 5: a bit is set if the neighbor is darker than the center.
+
+    Two opposite corners have no bit.
 
     Zabih and Woodfill, "Non-parametric local transforms for computing visual correspondence", ECCV 1994. The image
     is extended by its border pixels.
@@ -74,15 +84,11 @@ def census_rows(first: int, last: int, image: U8, codes: U8) -> None:
             window[j, RADIUS_X:-RADIUS_X] = row
             window[j, -RADIUS_X:] = row[width - 1]
         centers = window[RADIUS_Y, RADIUS_X : RADIUS_X + width]
-        bits = 0
-        for j in range(2 * RADIUS_Y + 1):
-            for i in range(2 * RADIUS_X + 1):
-                if i != RADIUS_X or j != RADIUS_Y:
-                    part = codes[y, bits // 8, MARGIN : MARGIN + width]
-                    if bits % 8 == 0:
-                        part[:] = 0
-                    _add_bit(window[j, i : i + width], centers, part)
-                    bits += 1
+        codes[y, :, MARGIN : MARGIN + width] = 0
+        for bit in range(CENSUS_BITS):
+            i, j = NEIGHBORS[bit]
+            neighbors = window[RADIUS_Y + j, RADIUS_X + i : RADIUS_X + i + width]
+            _add_bit(neighbors, centers, codes[y, bit // 8, MARGIN : MARGIN + width])
 
 
 @compiled(allocates=False)
@@ -111,8 +117,24 @@ def _mean_hamming(census: U8, y: int, x: int, first: int, sums: U16, out: U8) ->
 
 
 @compiled(allocates=False)
-def _hamming_row(census: U8, y: int, max_disparity: int, count: int, raw: U8, sums: U16) -> None:
-    """Distances of one row, from ``raw[1]`` on; the first and last pixel are repeated for the smoothing."""
+def hamming_row(census: U8, y: int, max_disparity: int, count: int, raw: U8, sums: U16) -> None:
+    """Matching costs of one row: Hamming distances, before any smoothing.
+
+    Of several pairs of one scene the distance is the mean over the pairs, rounded to whole bits.
+
+    Index k of a cost counts down from the largest disparity, so that it increases along the right image. Outside the
+    right image the distance of the border pixel is repeated, at most ``NEUTRAL_COST``: a constant would favor the
+    disparities inside, and paths would propagate that bias over images without texture. Elements from ``count`` on are
+    ``LARGEST_COST``.
+
+    Args:
+        census: of the left and the right image of each pair, uint8 (pairs, 2, H, CENSUS_PLANES, W + 2 MARGIN).
+        y: the row.
+        max_disparity: largest disparity, px.
+        count: number of disparities; K is :func:`padded_count` of it.
+        raw: uint8 (W + 2, K), written from ``raw[1]`` on; the first and last pixel are repeated for a smoothing.
+        sums: scratch, uint16 (K,).
+    """
     width, size = census.shape[4] - 2 * MARGIN, raw.shape[1]
     for x in range(width):
         at = x - max_disparity  # right column of index 0
@@ -138,52 +160,7 @@ def _hamming_row(census: U8, y: int, max_disparity: int, count: int, raw: U8, su
 
 
 @compiled(allocates=False)
-def _quarter_half_quarter(before: U8, here: U8, after: U8, out: U8) -> None:
+def quarter_half_quarter(before: U8, here: U8, after: U8, out: U8) -> None:
+    """(before + 2 here + after) / 4 of the costs (K,) of three pixels, as two means that are rounded up."""
     for k in range(0, out.size, BYTES):
         store(out, k, mean(mean(load(before, k), load(after, k)), load(here, k)))
-
-
-@compiled(allocates=False)
-def cost_rows(
-    census: U8,
-    first: int,
-    last: int,
-    max_disparity: int,
-    count: int,
-    raw: U8,
-    sums: U16,
-    smooth: U8,
-    cost: U8,
-) -> None:
-    """Matching costs of a band of rows: Hamming distances, smoothed by (1 2 1) / 4 along x and along y.
-
-    Of several pairs of one scene the distance is the mean over the pairs, rounded to whole bits.
-
-    Index k of a cost counts down from the largest disparity, so that it increases along the right image. Outside the
-    right image the distance of the border pixel is repeated, at most ``NEUTRAL_COST``: a constant would favor the
-    disparities inside, and paths would propagate that bias over images without texture. Elements from ``count`` on are
-    ``LARGEST_COST``.
-
-    Args:
-        census: of the left and the right image of each pair, uint8 (pairs, 2, H, CENSUS_PLANES, W + 2 MARGIN).
-        first, last: rows whose costs are written, from ``cost[0]`` on.
-        max_disparity: largest disparity, px.
-        count: number of disparities; K is :func:`padded_count` of it.
-        raw: scratch, uint8 (W + 2, K).
-        sums: scratch, uint16 (K,).
-        smooth: scratch, uint8 (3, W, K), the latest rows smoothed along x.
-        cost: uint8 (rows, W, K), at most 62.
-    """
-    height, width = census.shape[2], census.shape[4] - 2 * MARGIN
-    done = -1
-    for y in range(first, last):
-        for near in range(max(y - 1, 0), min(y + 2, height)):
-            if near > done:
-                _hamming_row(census, near, max_disparity, count, raw, sums)
-                row = smooth[near % 3]
-                for x in range(width):
-                    _quarter_half_quarter(raw[x], raw[x + 1], raw[x + 2], row[x])
-                done = near
-        before, here, after = smooth[max(y - 1, 0) % 3], smooth[y % 3], smooth[min(y + 1, height - 1) % 3]
-        for x in range(width):
-            _quarter_half_quarter(before[x], here[x], after[x], cost[y - first, x])

@@ -10,13 +10,12 @@ from numba import float32, int64, uint8
 
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS
 
 __all__ = ["UNRELATED_COST", "copy_costs", "feature_costs"]
 
-LARGEST = np.float32(CENSUS_BITS)
+LARGEST = np.float32(62)
 UNRELATED_COST = np.float32(40.0)  # of features at right angles; results are nearly the same from 25 to 90
-NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)
+NEUTRAL_COST = np.uint8(31)
 _NEVER = np.uint8(255)
 
 
@@ -26,7 +25,7 @@ def feature_costs(
 ) -> None:
     """Matching costs of a band of rows: (1 - cosine of the angle between the features) times a factor, at most 62.
 
-    Index k and what is outside the right image are as of the costs of the census, see :func:`cost_rows` there.
+    Index k and what is outside the right image are as of the costs of the census, see hamming_row there.
 
     Args:
         first, last: rows to write.

@@ -15,11 +15,10 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS
 
 __all__ = ["PRIOR_COSTS", "PriorCosts", "add_prior_costs", "prior_costs"]
 
-# The most that a prior costs a disparity, in bits of the census code. Right disparities cost about 25 bits less than
+# The most that a prior costs a disparity, in half bits of the census code. Right disparities cost about 25 less than
 # unrelated pixels, so that a wrong point loses where the images have texture.
 MOST_BITS = 20.0
 FLAT_PX = 0.5  # from the expected disparity: the images decide within it
@@ -36,7 +35,7 @@ class PriorCosts(NamedTuple):
     """A prior as the kernel takes it, float32 (H, W) each; (0, 0) without a prior.
 
     ``disparity_px`` is NaN where nothing is expected, ``width_px`` the standard deviation of the Gaussian and ``most``
-    the bound of the cost, in bits.
+    the bound of the cost, in half bits.
     """
 
     disparity_px: F32
@@ -51,7 +50,7 @@ def prior_costs(prior: DisparityPrior | None, image: U8) -> PriorCosts:
     """A prior, spread over the neighborhood of its points; empty arrays for None.
 
     A pixel expects the disparity of the point for which r / 20 px + |g| / 30 is least, r being the distance, at most 12
-    px, and g the difference of the gray values. The bound of its cost is 20 bits times exp(-r / 20 px - |g| / 30), the
+    px, and g the difference of the gray values. The bound of its cost is 20 times exp(-r / 20 px - |g| / 30), the
     variance of the Gaussian sigma^2 + 1 px^2 + (0.2 r)^2.
 
     Args:
@@ -69,7 +68,7 @@ def prior_costs(prior: DisparityPrior | None, image: U8) -> PriorCosts:
 
 _FADED, _SIMILAR, _MOST = np.float32(FADED_PX), np.float32(SIMILAR_GRAY), np.float32(MOST_BITS)
 _LEAST_VARIANCE, _SLANT_SQUARED = np.float32(LEAST_WIDTH_PX**2), np.float32(SLANT**2)
-_FLAT, _NEGLIGIBLE, _LIMIT = np.float32(FLAT_PX), np.float32(NEGLIGIBLE), np.uint8(CENSUS_BITS)
+_FLAT, _NEGLIGIBLE, _LIMIT = np.float32(FLAT_PX), np.float32(NEGLIGIBLE), np.uint8(62)
 _HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0), np.float32(1)
 
 
@@ -115,7 +114,7 @@ def _raise(cost: U8, by: np.uint8) -> None:
 def add_prior_costs(prior: PriorCosts, y: int, max_disparity: int, count: int, cost: U8) -> None:
     """Add the costs of the prior to the ``count`` first matching costs of the pixels of row ``y``, uint8 (W, K).
 
-    C'(d) = min(C(d) + most (1 - exp(-max(|d - expected| - 0.5, 0)^2 / (2 width^2))), 62), in whole bits; after Poggi
+    C'(d) = min(C(d) + most (1 - exp(-max(|d - expected| - 0.5, 0)^2 / (2 width^2))), 62), whole numbers; after Poggi
     et al. (Guided stereo matching, CVPR 2019), who multiply costs by a Gaussian. A sum has a bound.
 
     Index k of a cost counts down from ``max_disparity``. An empty prior and disparities that are not searched have no

@@ -9,41 +9,51 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numba import float32, float64, int16, int64, uint8, uint16
+from numba import boolean, float32, float64, int16, int64, uint8, uint16, uint32
 
-from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.page_memory import on_pages
 from stereo_depth_ros.core.types import F32, U8, U16, Reason
-from stereo_depth_ros.matching.costs.census import cost_rows, padded_count
+from stereo_depth_ros.core.vectors import BYTES
+from stereo_depth_ros.matching.costs.census import LARGEST_COST, padded_count
 from stereo_depth_ros.matching.costs.features import copy_costs
+from stereo_depth_ros.matching.costs.permeability import GROUP
 from stereo_depth_ros.matching.costs.prior import PRIOR_COSTS, PriorCosts, add_prior_costs
 from stereo_depth_ros.matching.filters.speckle_filter import I16
+from stereo_depth_ros.matching.selection.summed_costs import U32
+from stereo_depth_ros.matching.sgm.cost_rows import COSTS, RAW_ROWS, SLOTS, VIEW, Costs, View, cost_rows, first_needed
 from stereo_depth_ros.matching.sgm.path_costs import path_step, start_path, step_row
 from stereo_depth_ros.matching.sgm.winners import (
     NO_SUM,
     add_paths,
     agree_row,
+    first_of,
     lower_right,
     subpixel,
     take_winner,
+    total_cost,
 )
 
-__all__ = ["SPECKLE_STEPS_PER_PX", "STEPS_PER_PX", "Output", "Scratch", "Search", "match_bands"]
+__all__ = ["SPECKLE_STEPS_PER_PX", "STEPS_PER_PX", "Output", "Scratch", "Search", "match_strips"]
 
 STEPS_PER_PX = 64
 SPECKLE_STEPS_PER_PX = 8  # 4096 disparities fit in 16 bits
 _BORDER, _UNIQUENESS = np.uint8(Reason.BORDER), np.uint8(Reason.UNIQUENESS)
-_APART = 2  # per-pixel buffers of two bands must not share a cache line (false sharing)
-_ROWS = 4  # A step along a row waits for the one before it; steps in several rows do not wait for each other.
-_UP_ROWS, _UP_MASK = 8, 7  # a power of two above _ROWS: the row y is at y & 7, as a division in every step takes long
+_ROWS = GROUP  # A step along a row waits for the one before it; steps in several rows do not wait for each other.
+# Where there is hardly any texture, costs that are smoothed over many pixels are alike, and paths add up their chance
+# differences. So the cost of a winner must lie below the mean of its pixel by this share and these half bits.
+CONTRAST, CONTRAST_HALF_BITS = np.float32(0.12), np.float32(1.5)
+_UP_ROWS, _UP_MASK = 8, 7  # a power of two above _ROWS: row y is at y & 7, as a division in every step takes long
 
 
 class Search(NamedTuple):
     """Search range and checks.
 
     ``uniqueness`` is the minimum margin over the second best, ``tolerance`` that of the left-right check in px; P2 is
-    indexed by the gray difference of neighbors; vertical paths start ``approach_rows`` before the strip.
+    indexed by the gray difference of neighbors; vertical paths start ``approach_rows``, a multiple of ``_ROWS``,
+    before the strip;
+    ``edge_aware`` see cost_rows.py. ``indices_only`` finds the winners and nothing else of them; otherwise
+    ``own_right`` leaves the left-right check to who has matched the right image on its own.
     """
 
     max_disparity: int
@@ -53,17 +63,19 @@ class Search(NamedTuple):
     P1: np.uint8
     P2: U8
     approach_rows: int
+    edge_aware: bool
+    indices_only: bool
+    own_right: bool
 
 
 class Scratch(NamedTuple):
-    """Buffers of a strip; in the matcher with one more leading dimension, the band.
+    """Buffers of a strip.
 
-    There are 1 or 3 directions from the rows above, and as many from below; K disparities are whole vectors.
+    There are 1 or 3 directions from the rows above, and as many from below or none; K disparities are whole vectors.
+    Without paths from below, ``_ROWS`` rows are enough.
     """
 
-    raw: U8  # (W + 2, K) see cost_rows
-    sums: U16  # (K,) see cost_rows
-    smooth: U8  # (3, W, K)
+    costs: Costs
     cost: U8  # (rows, W, K) matching costs
     down: U8  # (directions, rows, W, K) path costs from above
     up: U8  # (directions, _UP_ROWS, W, K) path costs from below, of the latest rows
@@ -76,38 +88,54 @@ class Scratch(NamedTuple):
     right_sums: U16  # (_ROWS, 2, (W + K) / 2 + 1) see lower_right
     right_indices: U16
     winners: U16  # (_ROWS, 5, W) see take_winner
+    sums_of_costs: U32  # (_ROWS, W)
 
     @classmethod
-    def allocate(cls, bands: int, rows: int, width: int, config: MatchingConfig) -> Scratch:
-        """Buffers of all bands, for strips of up to ``rows`` rows, warm-up included, and ``width`` columns."""
-        count = padded_count(config.num_disparities)
-        directions = 1 if config.sgm_paths == 4 else 3
+    def allocate(cls, rows: int, width: int, disparities: int, paths: int, edge_aware: bool) -> Scratch:
+        """Buffers for strips of up to ``rows`` rows, warm-up included, and ``width`` columns; 3, 4 or 8 paths."""
+        count = padded_count(disparities)
+        down, up = {3: (1, 0), 4: (1, 1), 8: (3, 3)}[paths]
+        rows = rows + _ROWS if up else _ROWS  # costs are written in groups
+        smoothed = width if edge_aware else 1
+        unused = on_pages((count,), np.uint8)
+        unused[disparities:] = LARGEST_COST
         return cls(
-            raw=on_pages((bands, width + 2, count), np.uint8),
-            sums=on_pages((_APART * bands, count), np.uint16),
-            smooth=on_pages((bands, 3, width, count), np.uint8),
-            cost=on_pages((bands, rows, width, count), np.uint8),
-            down=on_pages((bands, directions, rows, width, count), np.uint8),
-            up=on_pages((bands, directions, _UP_ROWS, width, count), np.uint8),
-            left=on_pages((bands, _ROWS, width, count), np.uint8),
-            right=on_pages((_APART * bands, _ROWS, count), np.uint8),
-            least=on_pages((bands, PAGESIZE), np.uint8),
-            least_down=on_pages((bands, directions, 2, width), np.uint8),
-            least_up=on_pages((bands, directions, 2, width), np.uint8),
-            totals=on_pages((_APART * bands, 2, count // 2), np.uint16),
-            right_sums=on_pages((bands, _ROWS, 2, (width + count) // 2 + 1), np.uint16),
-            right_indices=on_pages((bands, _ROWS, 2, (width + count) // 2 + 1), np.uint16),
-            winners=on_pages((bands, _ROWS, 5, width), np.uint16),
+            costs=Costs(
+                raw=on_pages((RAW_ROWS, width + 2, count), np.uint8),
+                sums=on_pages((count,), np.uint16),
+                smooth=on_pages((SLOTS, width, count), np.uint8),
+                forward=on_pages((RAW_ROWS, smoothed, count), np.uint16),
+                backward=on_pages((RAW_ROWS, count), np.uint16),
+                above=on_pages((smoothed, count), np.uint16),
+                below=on_pages((GROUP, BYTES), np.uint16),
+                weights=on_pages((2 + GROUP, smoothed), np.float32),
+                scales=on_pages((GROUP, smoothed), np.uint16),
+                unused=unused,
+            ),
+            cost=on_pages((rows, width, count), np.uint8),
+            down=on_pages((down, rows, width, count), np.uint8),
+            up=on_pages((up, _UP_ROWS, width, count), np.uint8),
+            left=on_pages((_ROWS, width, count), np.uint8),
+            right=on_pages((_ROWS, count), np.uint8),
+            least=on_pages((_ROWS,), np.uint8),
+            least_down=on_pages((down, 2, width), np.uint8),
+            least_up=on_pages((up, 2, width), np.uint8),
+            totals=on_pages((2, count // 2), np.uint16),
+            right_sums=on_pages((_ROWS, 2, (width + count) // 2 + 1), np.uint16),
+            right_indices=on_pages((_ROWS, 2, (width + count) // 2 + 1), np.uint16),
+            winners=on_pages((_ROWS, 5, width), np.uint16),
+            sums_of_costs=on_pages((_ROWS, width), np.uint32),
         )
 
 
 class Output(NamedTuple):
-    """Disparities (px, unfiltered), the same in coarse steps for the speckle filter, reasons and margin, (H, W)."""
+    """Disparities (px, unfiltered), in coarse steps for the speckle filter too, reasons, margin and indices, (H, W)."""
 
     disparity_px: F32
     coarse: I16
     reasons: U8
     margin: F32
+    indices: U16
 
 
 @compiled(allocates=False)
@@ -147,6 +175,17 @@ def _finish_row(winners: U16, y: int, search: Search, output: Output) -> None:
 
 
 @compiled(allocates=False)
+def _reject_alike(cost: U8, best: U16, sums: U32, search: Search, reasons: U8) -> None:
+    """Mark the pixels of a row whose winner costs hardly less than their other disparities do on average."""
+    filled = (cost.shape[1] - search.disparities) * np.int64(LARGEST_COST)  # those that only fill a vector
+    for x in range(reasons.size):
+        mean = np.float32(np.int64(sums[x]) - filled) * (np.float32(1) / np.float32(search.disparities))
+        contrast = mean - np.float32(cost[x, best[x]])
+        if reasons[x] == 0 and contrast < max(CONTRAST * mean, CONTRAST_HALF_BITS):
+            reasons[x] = _UNIQUENESS
+
+
+@compiled(allocates=False)
 def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, scratch: Scratch, output: Output) -> None:
     """Paths along rows first to last, at most ``_ROWS``, last exclusive, and the winners of all sums.
 
@@ -170,12 +209,25 @@ def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, sc
             _step_along(image[y], x, x + 1, s.cost[y - top, x], search, path, path, s.least[i : i + 1])
             ways = (s.left[i, x], path, s.down, y - top, s.up, y & _UP_MASK)
             least = add_paths(*ways, x, begin, end, s.totals)
-            lower_right(s.totals, x, s.right_sums[i], s.right_indices[i])
-            take_winner(s.totals, least, x, s.winners[i])
-    for y in range(first, last):
-        winners = s.winners[y - first]
-        _finish_row(winners, y, search, output)
-        agree_row(winners[0], s.right_indices[y - first], search.tolerance, output.reasons[y])
+            if search.indices_only:
+                output.indices[y, x] = first_of(s.totals, least)
+            else:
+                if search.edge_aware:
+                    s.sums_of_costs[i, x] = total_cost(s.cost[y - top, x])
+                if not search.own_right:
+                    lower_right(s.totals, x, s.right_sums[i], s.right_indices[i])
+                take_winner(s.totals, least, x, s.winners[i])
+    if not search.indices_only:
+        for y in range(first, last):
+            winners = s.winners[y - first]
+            _finish_row(winners, y, search, output)
+            if search.edge_aware and search.uniqueness > 0:
+                _reject_alike(s.cost[y - top], winners[0], s.sums_of_costs[y - first], search, output.reasons[y])
+            if search.own_right:
+                for x in range(width):
+                    output.indices[y, x] = winners[0, x]
+            else:
+                agree_row(winners[0], s.right_indices[y - first], search.tolerance, output.reasons[y])
 
 
 @compiled(allocates=False)
@@ -185,116 +237,107 @@ def _shift(n: int, directions: int) -> int:
 
 
 @compiled(allocates=False)
+def _step_rows(
+    y: int, before: int, image: U8, cost: U8, search: Search, paths: U8, at: int, at_before: int, least: U8
+) -> None:
+    """Vertical and diagonal paths of row y, after those of the row ``before``; they start if that is y itself.
+
+    Rows are at ``at`` and ``at_before`` in ``paths``.
+    """
+    directions = len(paths)
+    for n in range(directions):
+        shift = _shift(n, directions) if before != y else image.shape[1]
+        rows = image[y], image[before], shift, cost, search.P1, search.P2
+        step_row(*rows, paths[n, at_before], least[n, before & 1], paths[n, at], least[n, y & 1])
+
+
+@compiled(allocates=False)
 def _match_strip(
     a: int,
     b: int,
     image: U8,
-    census: U8,
-    costs: U8,
+    view: View,
+    given_costs: U8,
     prior: PriorCosts,
     search: Search,
     scratch: Scratch,
     output: Output,
 ) -> None:
-    """Disparities of rows a to b, last exclusive."""
+    """Disparities of rows a to b, last exclusive, from a multiple of ``_ROWS`` on.
+
+    Without paths from below, a few rows are in memory at a time.
+    """
     s = scratch
-    height, width = image.shape
-    top, bottom = max(a - search.approach_rows, 0), min(b + search.approach_rows, height)
-    directions = len(s.down)
-    if len(costs):
-        copy_costs(costs, top, bottom, s.cost)
-    else:
-        cost_rows(census, top, bottom, search.max_disparity, search.disparities, s.raw, s.sums, s.smooth, s.cost)
-    for y in range(top, bottom):
-        add_prior_costs(prior, y, search.max_disparity, search.disparities, s.cost[y - top])
-    for y in range(top, b):
-        i, before = y - top, max(y - 1 - top, 0)
-        for n in range(directions):
-            shift = _shift(n, directions) if y > top else width  # all paths start in the first row
-            old, new = s.least_down[n, 1 - i % 2], s.least_down[n, i % 2]
-            rows = image[y], image[top + before]
-            step_row(*rows, shift, s.cost[i], search.P1, search.P2, s.down[n, before], old, s.down[n, i], new)
+    upward = len(s.up) > 0
+    top, bottom = max(a - search.approach_rows, 0), min(b + search.approach_rows, len(image)) if upward else b
+    done = first_needed(top, search.edge_aware) - 1
+    at_before = 0
+    for first in range(top, bottom, _ROWS):
+        base = top if upward else first  # the row at 0 in the buffers
+        last = min(first + _ROWS, bottom)
+        given = (search.max_disparity, search.disparities, search.edge_aware, view, s.costs)
+        if len(given_costs):
+            copy_costs(given_costs, first, last, s.cost[first - base :])
+        else:
+            done = cost_rows(first, first == top, done, *given, s.cost[first - base :])
+        for y in range(first, last):
+            add_prior_costs(prior, y, search.max_disparity, search.disparities, s.cost[y - base])
+        for y in range(first, min(last, b)):
+            at = y - base
+            _step_rows(y, max(y - 1, top), image, s.cost[at], search, s.down, at, at_before, s.least_down)
+            at_before = at
+        if first >= a and not upward:
+            _winners_rows(first, last, base, image, search, s, output)
     ready = b
-    for j in range(bottom - a):
-        y = bottom - 1 - j
+    for y in range(bottom - 1, a - 1 if upward else bottom, -1):
         before = min(y + 1, bottom - 1)
-        for n in range(directions):
-            shift = _shift(n, directions) if j > 0 else width
-            old, new = s.least_up[n, 1 - y % 2], s.least_up[n, y % 2]
-            rows = image[y], image[before]
-            paths = s.up[n, before & _UP_MASK], old, s.up[n, y & _UP_MASK], new
-            step_row(*rows, shift, s.cost[y - top], search.P1, search.P2, *paths)
+        at, at_before = y & _UP_MASK, before & _UP_MASK
+        _step_rows(y, before, image, s.cost[y - top], search, s.up, at, at_before, s.least_up)
         if y == a or y == ready - _ROWS:
             _winners_rows(y, ready, top, image, search, s, output)
             ready = y
 
 
-_SEARCH = numba.types.NamedTuple([int64, int64, float64, int64, uint8, uint8[::1], int64], Search)
+_SEARCH = numba.types.NamedTuple(
+    [int64, int64, float64, int64, uint8, uint8[::1], int64, boolean, boolean, boolean], Search
+)
 _SCRATCH = numba.types.NamedTuple(
     [
-        *(uint8[:, :, ::1], uint16[:, ::1], uint8[:, :, :, ::1], uint8[:, :, :, ::1]),
-        *(uint8[:, :, :, :, ::1], uint8[:, :, :, :, ::1]),
-        *(uint8[:, :, :, ::1], uint8[:, :, ::1], uint8[:, ::1]),
-        *(uint8[:, :, :, ::1], uint8[:, :, :, ::1]),
-        *(uint16[:, :, ::1], uint16[:, :, :, ::1], uint16[:, :, :, ::1], uint16[:, :, :, ::1]),
+        COSTS,
+        *(uint8[:, :, ::1], uint8[:, :, :, ::1], uint8[:, :, :, ::1]),
+        *(uint8[:, :, ::1], uint8[:, ::1], uint8[::1], uint8[:, :, ::1], uint8[:, :, ::1]),
+        *(uint16[:, ::1], uint16[:, :, ::1], uint16[:, :, ::1], uint16[:, :, ::1], uint32[:, ::1]),
     ],
     Scratch,
 )
-_OUTPUT = numba.types.NamedTuple([float32[:, ::1], int16[:, ::1], uint8[:, ::1], float32[:, ::1]], Output)
+_OUTPUT = numba.types.NamedTuple(
+    [float32[:, ::1], int16[:, ::1], uint8[:, ::1], float32[:, ::1], uint16[:, ::1]], Output
+)
 
 
 @compiled(
-    numba.void(
-        int64,
-        int64,
-        int64,
-        int64,
-        READ_ONLY_U8,
-        uint8[:, :, :, :, ::1],
-        uint8[:, :, ::1],
-        PRIOR_COSTS,
-        _SEARCH,
-        _SCRATCH,
-        _OUTPUT,
-    ),
+    numba.void(int64, int64, int64, READ_ONLY_U8, VIEW, uint8[:, :, ::1], PRIOR_COSTS, _SEARCH, _SCRATCH, _OUTPUT),
     allocates=False,
 )
-def match_bands(
+def match_strips(
     first: int,
     last: int,
-    bands: int,
     strips: int,
     image: U8,
-    census: U8,
-    costs: U8,
+    view: View,
+    given_costs: U8,
     prior: PriorCosts,
     search: Search,
     scratch: Scratch,
     output: Output,
 ) -> None:
-    """Match the strips of each band, with the scratch buffers of the band.
+    """Match strips first to last, last exclusive, of all strips of the image.
 
-    The costs are those of the census, unless ``costs``, uint8 (H, W, K), has rows.
+    The costs are those of the census, unless ``given_costs``, uint8 (H, W, K), has rows.
     """
     height = len(image)
-    for band in range(first, last):
-        own = Scratch(
-            scratch.raw[band],
-            scratch.sums[_APART * band],
-            scratch.smooth[band],
-            scratch.cost[band],
-            scratch.down[band],
-            scratch.up[band],
-            scratch.left[band],
-            scratch.right[_APART * band],
-            scratch.least[band],
-            scratch.least_down[band],
-            scratch.least_up[band],
-            scratch.totals[_APART * band],
-            scratch.right_sums[band],
-            scratch.right_indices[band],
-            scratch.winners[band],
-        )
-        for strip in range(band * strips // bands, (band + 1) * strips // bands):
-            a, b = height * strip // strips, height * (strip + 1) // strips
-            _match_strip(a, b, image, census, costs, prior, search, own, output)
+    for strip in range(first, last):
+        a = height * strip // strips // _ROWS * _ROWS
+        b = height * (strip + 1) // strips // _ROWS * _ROWS if strip + 1 < strips else height
+        if a < b:
+            _match_strip(a, b, image, view, given_costs, prior, search, scratch, output)

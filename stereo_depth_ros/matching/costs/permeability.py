@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: The stereo_depth_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Edge-aware smoothing of costs by recursive filters: a cost spreads as far as neighbors have similar gray levels.
+
+Information permeability (Cigla and Alatan, "Information permeability for stereo matching", Signal Processing: Image
+Communication 2013, equations 2 to 5): from the left, sum(x) = cost(x) + a(x) sum(x - 1), where a falls with the gray
+difference of both pixels, likewise from the right; both together are a weighted mean. The same follows along y, for a
+group of rows at once: all rows above have a share, from below those of the group and the next one, so that few rows
+are in memory.
+
+All values are whole numbers; a product with a 16-bit share is cut off to its upper 16 bits. Words are in the order of
+even_words and odd_words: those of a vector of bytes are two vectors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
+from stereo_depth_ros.core.types import F32, U8, U16
+from stereo_depth_ros.core.vectors import (
+    BYTES,
+    WORDS,
+    add,
+    even_words,
+    join_words,
+    load,
+    multiply,
+    multiply_high,
+    odd_words,
+    repeat,
+    store,
+    union,
+)
+
+__all__ = ["GROUP", "permeabilities", "permeability_rows", "smooth_along", "smooth_down"]
+
+GROUP = 4  # rows that are smoothed along y at once
+LARGEST, GRAY_LEVELS = 0.9, 4.0  # permeability between equal pixels, and the difference at which it falls to 1 / e
+ALONG_GAIN = 4  # of costs after the smoothing along x, for precision in bytes
+DOWN_GAIN = 0.5  # of those after the one along y: half bits
+_FINE = np.uint16(16)  # costs in sums: with LARGEST they stay below 16 bits
+_WHOLE = 65536.0
+_AT_ONCE = 16  # rows whose weights are summed in a vector
+
+
+def permeabilities() -> U16:
+    """The share of a sum that passes between two pixels, by their gray difference; uint16 (256,), 65536 is all."""
+    return np.array([round(_WHOLE * LARGEST * math.exp(-step / GRAY_LEVELS)) for step in range(256)], np.uint16)
+
+
+@compiled(numba.void(numba.int64, numba.int64, READ_ONLY_U8, numba.uint16[::1], *(3 * (numba.uint16[:, ::1],))))
+def permeability_rows(first: int, last: int, image: U8, table: U16, along: U16, scales: U16, down: U16) -> None:
+    """Permeabilities of an image, and the scales of the sums along its rows.
+
+    Args:
+        first, last: rows to write.
+        image: uint8 (H, W).
+        table: see :func:`permeabilities`.
+        along: uint16 (H, W), permeability to the pixel to the left; 0 in the first column.
+        down: uint16 (H + 2 GROUP, W), to the pixel above; 0 in the first row, and below the image as it was.
+        scales: uint16 (H, W), of the sum from the left and from the right.
+    """
+    width = image.shape[1]
+    shares = np.zeros((width + 1, _AT_ONCE), np.float32)
+    weights = np.zeros((width, _AT_ONCE), np.float32)
+    weight = np.zeros(_AT_ONCE, np.float32)
+    whole, one = np.float32(1 / _WHOLE), np.float32(1)
+    scale = np.float32(_WHOLE * ALONG_GAIN / _FINE)
+    for begin in range(first, last, _AT_ONCE):
+        end = min(begin + _AT_ONCE, last)
+        for y in range(begin, end):
+            along[y, 0] = 0
+            for x in range(1, width):
+                along[y, x] = table[abs(np.int64(image[y, x]) - np.int64(image[y, x - 1]))]
+                shares[x, y - begin] = np.float32(along[y, x]) * whole
+            for x in range(width):
+                down[y, x] = table[abs(np.int64(image[y, x]) - np.int64(image[y - 1, x]))] if y > 0 else 0
+        weight[:] = 0
+        for x in range(width):
+            for i in range(_AT_ONCE):
+                weight[i] = one + weight[i] * shares[x, i]
+                weights[x, i] = weight[i]
+        weight[:] = 0
+        for j in range(width):
+            x = width - 1 - j
+            for i in range(_AT_ONCE):
+                beyond = weight[i] * shares[x + 1, i]
+                weights[x, i] = np.divide(scale, weights[x, i] + beyond)  # without a test for 0
+                weight[i] = one + beyond
+        for y in range(begin, end):
+            for x in range(width):
+                scales[y, x] = np.uint16(np.rint(weights[x, y - begin]))
+
+
+@compiled(allocates=False)
+def smooth_along(
+    first: int, last: int, along: U16, scales: U16, raw: U8, forward: U16, backward: U16, smooth: U8
+) -> None:
+    """Smooth the costs of rows first to last, last exclusive, along x.
+
+    Args:
+        along, scales: see :func:`permeability_rows`.
+        raw: uint8 (rows, W + 2, K), costs of row first + i in ``raw[i]``, from pixel 1 on; at most 32.
+        forward, backward: scratch, uint16 (rows, W, K) and (rows, K).
+        smooth: uint8 (2 GROUP, W, K), row y is written to y % (2 GROUP), ``ALONG_GAIN`` times the cost.
+    """
+    width, start = along.shape[1], first % (2 * GROUP)
+    fine = repeat(_FINE)
+    forward[:, 0] = 0
+    backward[:] = 0
+    for x in range(width):
+        for y in range(first, last):
+            i = y - first
+            share, sums, before = repeat(along[y, x]), forward[i, x], forward[i, max(x - 1, 0)]
+            for k in range(0, sums.size, BYTES):
+                cost = load(raw[i, x + 1], k)
+                even, odd = multiply(even_words(cost), fine), multiply(odd_words(cost), fine)
+                store(sums, k, add(even, multiply_high(load(before, k), share)))
+                store(sums, k + WORDS, add(odd, multiply_high(load(before, k + WORDS), share)))
+    for j in range(width):
+        x = width - 1 - j
+        for y in range(first, last):
+            i = y - first
+            slot = (start + i) & (2 * GROUP - 1)
+            share = repeat(along[y, x + 1] if j > 0 else np.uint16(0))
+            scale, sums, beyond, out = repeat(scales[y, x]), forward[i, x], backward[i], smooth[slot, x]
+            for k in range(0, sums.size, BYTES):
+                cost = load(raw[i, x + 1], k)
+                even, odd = multiply_high(load(beyond, k), share), multiply_high(load(beyond, k + WORDS), share)
+                all_even, all_odd = add(load(sums, k), even), add(load(sums, k + WORDS), odd)
+                store(out, k, join_words(multiply_high(all_even, scale), multiply_high(all_odd, scale)))
+                store(beyond, k, add(multiply(even_words(cost), fine), even))
+                store(beyond, k + WORDS, add(multiply(odd_words(cost), fine), odd))
+
+
+@compiled(allocates=False)
+def smooth_down(
+    first: int,
+    starts: bool,
+    down: U16,
+    unused: U8,
+    weights: F32,
+    scales: U16,
+    above: U16,
+    below: U16,
+    smooth: U8,
+    cost: U8,
+) -> None:
+    """Smooth the costs of rows ``first`` to ``first`` + GROUP along y; called for one group after the other.
+
+    All rows above have a share in a row, and from below those of the group and the next one.
+
+    Args:
+        starts: whether this is the first group: above is nothing.
+        down: see :func:`permeability_rows`.
+        unused: uint8 (K,), 255 where an element only fills a vector, otherwise 0.
+        weights: float32 (2 + GROUP, W), scratch that keeps the sums of weights above in row 0.
+        scales: uint16 (GROUP, W), scratch.
+        above: uint16 (W, K), the sums down to the last row.
+        below: uint16 (GROUP, BYTES), scratch.
+        smooth: uint8 (2 GROUP, W, K), row y at y % (2 GROUP), see :func:`smooth_along`; rows below the image have no
+            share.
+        cost: uint8 (GROUP, W, K), written: twice the costs, at most 64.
+    """
+    width, middle = down.shape[1], first % (2 * GROUP)
+    if starts:
+        weights[0] = 0
+        above[:] = 0
+    _down_scales(first, down, weights, scales)
+    fine = repeat(_FINE)
+    nothing = repeat(np.uint16(0))
+    for x in range(width):
+        for k in range(0, unused.size, BYTES):
+            even, odd = nothing, nothing
+            for i in range(2 * GROUP - 1, -1, -1):
+                if i < GROUP:
+                    store(below[i], 0, even)
+                    store(below[i], WORDS, odd)
+                share = repeat(down[first + i, x])
+                here = load(smooth[(middle + i) & (2 * GROUP - 1), x], k)
+                even = multiply_high(add(multiply(even_words(here), fine), even), share)
+                odd = multiply_high(add(multiply(odd_words(here), fine), odd), share)
+            even, odd = load(above[x], k), load(above[x], k + WORDS)
+            for i in range(GROUP):
+                share, scale = repeat(down[first + i, x]), repeat(scales[i, x])
+                here = load(smooth[middle + i, x], k)
+                even = add(multiply(even_words(here), fine), multiply_high(even, share))
+                odd = add(multiply(odd_words(here), fine), multiply_high(odd, share))
+                all_even = multiply_high(add(even, load(below[i], 0)), scale)
+                all_odd = multiply_high(add(odd, load(below[i], WORDS)), scale)
+                store(cost[i, x], k, union(join_words(all_even, all_odd), load(unused, k)))
+            store(above[x], k, even)
+            store(above[x], k + WORDS, odd)
+
+
+@compiled(allocates=False)
+def _down_scales(first: int, down: U16, weights: F32, scales: U16) -> None:
+    """The scales of the sums of a group of rows: the same recursions for costs of 1."""
+    share, scale, one = np.float32(1 / _WHOLE), np.float32(_WHOLE * DOWN_GAIN / _FINE), np.float32(1)
+    above, beyond = weights[0], weights[1 + GROUP]
+    beyond[:] = 0
+    for i in range(2 * GROUP - 1, -1, -1):
+        if i < GROUP:
+            for x in range(beyond.size):
+                weights[1 + i, x] = beyond[x]
+        for x in range(beyond.size):
+            beyond[x] = (one + beyond[x]) * (np.float32(down[first + i, x]) * share)
+    for i in range(GROUP):
+        for x in range(above.size):
+            above[x] = one + above[x] * (np.float32(down[first + i, x]) * share)
+            scales[i, x] = np.uint16(np.rint(np.divide(scale, above[x] + weights[1 + i, x])))
