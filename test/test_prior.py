@@ -145,6 +145,16 @@ def test_costs_stay_within_8_bits() -> None:
     assert np.mean(np.abs(result.disparity_px[:, COUNT:][valid] - WALL_PX) < 1) > 0.97
 
 
+@pytest.mark.parametrize("quality", ["fast", "default", "best"])
+def test_every_quality_takes_a_prior(quality: str) -> None:
+    left, right, truth_px = wall_without_texture()
+    config = MatchingConfig(num_disparities=COUNT, quality=quality)
+    result = create_matcher("sgm", config).match(left, right, prior=points(0.1, truth_px))
+    found = result.disparity_px[:, COUNT:]
+    assert np.isfinite(found).mean() > 0.8
+    assert np.mean(np.abs(found[np.isfinite(found)] - WALL_PX) < 1) > 0.97
+
+
 def test_scene_with_a_prior_is_evaluated_with_it() -> None:
     left, right, truth_px = wall_without_texture()
     scene = make_scene(left, right, truth_px)
