@@ -61,7 +61,7 @@ class Quality(NamedTuple):
     own_right: bool  # the right image is matched on its own for the left-right check
 
 
-_OF_NETWORK = Quality(4, 30, 150, edge_aware=False, own_right=False)
+_PLAIN = Quality(4, 30, 150, edge_aware=False, own_right=False)  # of a network and of several pairs
 QUALITIES: Mapping[str, Quality] = {
     "fast": Quality(3, 30, 150, edge_aware=False, own_right=False),
     "default": Quality(3, 17, 103, edge_aware=True, own_right=False),
@@ -94,8 +94,9 @@ class SemiGlobalMatcher(SerialMatcher):
     pixels have confidence 0.
 
     With ``temporal_window`` T above 1 the cost of a disparity is the mean of its Hamming distances in the last T pairs:
-    the scene is static and its light changes, as in :mod:`stereo_depth_ros.matching.spacetime.matcher`. P2 and the
-    smoothing then follow the edges of the mean of the left images.
+    the scene is static and its light changes, as in :mod:`stereo_depth_ros.matching.spacetime.matcher`. P2 then
+    follows the edges of the mean of the left images. Costs are smoothed over 3 x 3 pixels and summed along four
+    directions in all qualities: patterns of the light have edges too.
 
     With ``sgm_cost`` onnx the costs are products of features of a network, see
     :class:`~stereo_depth_ros.matching.networks.features.FeatureNetwork`, in the range of those of the census; they are
@@ -263,7 +264,8 @@ def _check_single(config: MatchingConfig) -> None:
 
 def _effective(config: MatchingConfig) -> Quality:
     """The quality, with the parameters that are not left to it."""
-    quality = _OF_NETWORK if config.sgm_cost == "onnx" else QUALITIES[config.quality]
+    plain = config.sgm_cost == "onnx" or config.temporal_window > 1
+    quality = _PLAIN if plain else QUALITIES[config.quality]
     P1, P2 = config.sgm_P1 or quality.P1, config.sgm_P2 or quality.P2
     total, largest = P1 + P2, LARGEST_PATH_COST - LARGEST_SMOOTHED
     if P2 <= P1:
