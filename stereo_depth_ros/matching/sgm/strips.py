@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from mmap import PAGESIZE
 from typing import NamedTuple
 
 import numba
