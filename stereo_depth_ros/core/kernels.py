@@ -20,6 +20,8 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba.core.caching import IndexDataCacheFile
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 
@@ -40,7 +42,41 @@ _pending: list[Kernel] = []  # kernels of the modules imported so far, neither c
 _pending_lock = threading.RLock()
 
 
-def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], FunctionT]:
+class _HelperLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """The code of a helper as it is linked into kernels: optimized there, once, and not turned into machine code here.
+
+    Numba optimizes and generates the code of every function, and again as part of each one that calls it.
+    """
+
+    class _Unused:
+        def set_env(self, name: str, environment: object) -> None:
+            """Only machine code has a place for it."""
+
+    @property
+    def codegen(self) -> Any:
+        return self._Unused()
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        return 0
+
+
+class _HelperCompiler(Compiler):  # type: ignore[misc]
+    """Numba's compiler with a :class:`_HelperLibrary` for the code."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+        super().__init__(typing, target, _HelperLibrary(target.codegen(), "helper"), *rest)
+
+
+def compiled(*signatures: Any, allocates: bool = True, inlined: bool = True) -> Callable[[FunctionT], FunctionT]:
     """Decorator: compile to machine code that releases the GIL and is cached on disk.
 
     Functions with signatures are kernels, called from Python, compiled by :func:`compile_kernels`. Helpers are called
@@ -54,8 +90,11 @@ def compiled(*signatures: Any, allocates: bool = True) -> Callable[[FunctionT], 
     """
 
     def decorate(function: FunctionT) -> FunctionT:
-        inlined = not signatures and not allocates
-        dispatcher: Any = numba.njit(nogil=True, forceinline=inlined, _nrt=allocates, no_cfunc_wrapper=True)(function)
+        options: dict[str, Any] = {"nogil": True, "_nrt": allocates, "no_cfunc_wrapper": True}
+        if not signatures:
+            options |= {"forceinline": inlined and not allocates, "no_cpython_wrapper": True}
+            options |= {"pipeline_class": _HelperCompiler}
+        dispatcher: Any = numba.njit(**options)(function)
         return Kernel(dispatcher, signatures, allocates) if signatures else dispatcher  # type: ignore[return-value]
 
     return decorate

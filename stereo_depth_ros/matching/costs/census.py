@@ -9,7 +9,23 @@ import numpy as np
 
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.types import U8, U16
-from stereo_depth_ros.core.vectors import BYTES, add, load, mean, ones, repeat, store, xor
+from stereo_depth_ros.core.vectors import (
+    BYTES,
+    add,
+    load,
+    maximum,
+    mean,
+    minimum,
+    ones,
+    quarter,
+    repeat,
+    store,
+    subtract,
+    subtract_saturated,
+    union,
+    where_less,
+    xor,
+)
 
 __all__ = [
     "CENSUS_BITS",
@@ -35,11 +51,15 @@ NEIGHBORS = tuple(
 )
 CENSUS_BITS = len(NEIGHBORS)
 CENSUS_PLANES = CENSUS_BITS // 8
+GRAY, CAP = CENSUS_PLANES, CENSUS_PLANES + 1  # planes after those of the codes
+PLANES = CENSUS_PLANES + 2
 MARGIN = BYTES  # columns before and after the image, so that vectors may begin before it and end behind it
 NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # average cost of unrelated pixels
 LARGEST_COST = np.uint8(255)  # of the disparities that only fill a vector: they never win
 
-_ONE = np.uint8(1)
+TEXTURE, LARGEST_CAP = 14, 12  # gray levels; a quarter of a difference is added to a cost
+_TEXTURE, _LARGEST_CAP = np.uint8(TEXTURE), np.uint8(LARGEST_CAP)
+_NOTHING, _ONE = np.uint8(0), np.uint8(1)
 _SHARE_BITS, _HALF = np.uint32(16), np.uint32(1 << 15)  # of 1 / number of pairs, rounded
 
 
@@ -51,13 +71,26 @@ def padded_count(num_disparities: int) -> int:
 def empty_census(*shape: int) -> U8:
     """Buffer of census codes of images of ``shape``, (..., H, W), for :func:`census_rows`."""
     *before, width = shape
-    return np.zeros((*before, CENSUS_PLANES, width + 2 * MARGIN), np.uint8)
+    return np.zeros((*before, PLANES, width + 2 * MARGIN), np.uint8)
 
 
 @compiled(allocates=False)
-def _add_bit(neighbors: U8, centers: U8, codes: U8) -> None:
-    for x in range(codes.size):
-        codes[x] = np.uint8(np.uint8(codes[x] << _ONE) | np.uint8(neighbors[x] < centers[x]))
+def _code_vector(window: U8, x: int, codes: U8) -> None:
+    """Codes of a vector of pixels from column x on, and what goes with them, of the rows around them."""
+    nothing, bit_set = repeat(_NOTHING), repeat(_ONE)
+    center = load(window[RADIUS_Y], x + RADIUS_X)
+    darkest, brightest = center, center
+    for plane in range(CENSUS_PLANES):
+        code = nothing
+        for bit in range(8 * plane, 8 * plane + 8):
+            i, j = NEIGHBORS[bit]
+            neighbor = load(window[RADIUS_Y + j], x + RADIUS_X + i)
+            code = add(add(code, code), where_less(neighbor, center, bit_set, nothing))
+            darkest, brightest = minimum(darkest, neighbor), maximum(brightest, neighbor)
+        store(codes[plane], MARGIN + x, code)
+    store(codes[GRAY], MARGIN + x, center)
+    under = subtract_saturated(repeat(_TEXTURE), subtract(brightest, darkest))
+    store(codes[CAP], MARGIN + x, minimum(add(under, mean(under, nothing)), repeat(_LARGEST_CAP)))
 
 
 @compiled(numba.void(numba.int64, numba.int64, READ_ONLY_U8, numba.uint8[:, :, ::1]))
@@ -72,43 +105,45 @@ def census_rows(first: int, last: int, image: U8, codes: U8) -> None:
     Args:
         first, last: rows to write.
         image: uint8 (H, W).
-        codes: uint8 (H, CENSUS_PLANES, MARGIN + W + MARGIN), eight bits of each code in a plane: many pixels in a
-            vector. The margins are left as they are.
+        codes: uint8 (H, PLANES, MARGIN + W + MARGIN), eight bits of each code in a plane: many pixels in a vector.
+            Plane ``GRAY`` gets the image itself and plane ``CAP`` what its differences may add to the costs, times 4:
+            ``LARGEST_CAP`` where the window has hardly any texture, 0 where its gray levels span ``TEXTURE`` or more.
+            What is in the margins afterwards is not defined.
     """
     height, width = image.shape
-    window = np.empty((2 * RADIUS_Y + 1, width + 2 * RADIUS_X), np.uint8)
+    window = np.zeros((2 * RADIUS_Y + 1, width + 2 * RADIUS_X + BYTES), np.uint8)
     for y in range(first, last):
         for j in range(2 * RADIUS_Y + 1):
             row = image[min(max(y + j - RADIUS_Y, 0), height - 1)]
             window[j, :RADIUS_X] = row[0]
-            window[j, RADIUS_X:-RADIUS_X] = row
-            window[j, -RADIUS_X:] = row[width - 1]
-        centers = window[RADIUS_Y, RADIUS_X : RADIUS_X + width]
-        codes[y, :, MARGIN : MARGIN + width] = 0
-        for bit in range(CENSUS_BITS):
-            i, j = NEIGHBORS[bit]
-            neighbors = window[RADIUS_Y + j, RADIUS_X + i : RADIUS_X + i + width]
-            _add_bit(neighbors, centers, codes[y, bit // 8, MARGIN : MARGIN + width])
+            window[j, RADIUS_X : RADIUS_X + width] = row
+            window[j, RADIUS_X + width : 2 * RADIUS_X + width] = row[width - 1]
+        for x in range(0, width, BYTES):
+            _code_vector(window, x, codes[y])
 
 
 @compiled(allocates=False)
-def _hamming(left: U8, x: int, right: U8, first: int, out: U8) -> None:
+def _hamming(left: U8, x: int, right: U8, first: int, weak: bool, out: U8) -> None:
     """Distances of left pixel x to the right pixels from column ``first`` on, of the codes of a row."""
     for k in range(0, out.size, BYTES):
         at = MARGIN + first + k
         distance = ones(xor(load(right[0], at), repeat(left[0, MARGIN + x])))
         for plane in range(1, CENSUS_PLANES):
             distance = add(distance, ones(xor(load(right[plane], at), repeat(left[plane, MARGIN + x]))))
+        if weak:
+            gray, own = load(right[GRAY], at), repeat(left[GRAY, MARGIN + x])
+            difference = union(subtract_saturated(gray, own), subtract_saturated(own, gray))
+            distance = add(distance, quarter(minimum(difference, repeat(left[CAP, MARGIN + x]))))
         store(out, k, distance)
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def _mean_hamming(census: U8, y: int, x: int, first: int, sums: U16, out: U8) -> None:
     """Means over the pairs of the distances of left pixel (x, y) to the right pixels from column ``first`` on."""
     pairs = len(census)
     sums[:] = 0
     for n in range(pairs):
-        _hamming(census[n, 0, y], x, census[n, 1, y], first, out)
+        _hamming(census[n, 0, y], x, census[n, 1, y], first, False, out)
         for k in range(out.size):
             sums[k] = np.uint16(sums[k] + np.uint16(out[k]))
     share = np.uint32(((1 << 16) + pairs // 2) // pairs)
@@ -116,8 +151,8 @@ def _mean_hamming(census: U8, y: int, x: int, first: int, sums: U16, out: U8) ->
         out[k] = np.uint8(np.uint32(np.uint32(sums[k]) * share + _HALF) >> _SHARE_BITS)
 
 
-@compiled(allocates=False)
-def hamming_row(census: U8, y: int, max_disparity: int, count: int, raw: U8, sums: U16) -> None:
+@compiled(allocates=False, inlined=False)
+def hamming_row(census: U8, y: int, max_disparity: int, count: int, weak: bool, raw: U8, sums: U16) -> None:
     """Matching costs of one row: Hamming distances, before any smoothing.
 
     Of several pairs of one scene the distance is the mean over the pairs, rounded to whole bits.
@@ -143,7 +178,7 @@ def hamming_row(census: U8, y: int, max_disparity: int, count: int, raw: U8, sum
         if begin < end:
             first, last = begin // BYTES * BYTES, (end + BYTES - 1) // BYTES * BYTES
             if len(census) == 1:
-                _hamming(census[0, 0, y], x, census[0, 1, y], at + first, here[first:last])
+                _hamming(census[0, 0, y], x, census[0, 1, y], at + first, weak, here[first:last])
             else:
                 _mean_hamming(census, y, x, at + first, sums[first:last], here[first:last])
             if begin > 0:

@@ -96,7 +96,7 @@ def permeability_rows(first: int, last: int, image: U8, table: U16, along: U16, 
                 scales[y, x] = np.uint16(np.rint(weights[x, y - begin]))
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def smooth_along(
     first: int, last: int, along: U16, scales: U16, raw: U8, forward: U16, backward: U16, smooth: U8
 ) -> None:
@@ -137,7 +137,7 @@ def smooth_along(
                 store(beyond, k + WORDS, add(multiply(odd_words(cost), fine), odd))
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def smooth_down(
     first: int,
     starts: bool,
@@ -197,7 +197,7 @@ def smooth_down(
             store(above[x], k + WORDS, odd)
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def _down_scales(first: int, down: U16, weights: F32, scales: U16) -> None:
     """The scales of the sums of a group of rows: the same recursions for costs of 1."""
     share, scale, one = np.float32(1 / _WHOLE), np.float32(_WHOLE * DOWN_GAIN / _FINE), np.float32(1)

@@ -17,7 +17,7 @@ from stereo_depth_ros.matching.costs.permeability import GROUP, smooth_along, sm
 
 __all__ = ["COSTS", "LARGEST_SMOOTHED", "RAW_ROWS", "SLOTS", "VIEW", "Costs", "View", "cost_rows", "first_needed"]
 
-LARGEST_SMOOTHED = 2 * CENSUS_BITS  # costs are in half bits
+LARGEST_SMOOTHED = 2 * (CENSUS_BITS + 5)  # costs are in half bits
 RAW_ROWS = 2  # The smoothing along a row waits for the pixel before; that in another row does not.
 SLOTS = 2 * GROUP
 
@@ -55,7 +55,7 @@ def first_needed(y: int, edge_aware: bool) -> int:
     return y if edge_aware else max(y - 1, 0)
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def cost_rows(
     first: int,
     starts: bool,
@@ -85,7 +85,7 @@ def cost_rows(
     while done < min(first + (2 * GROUP - 1 if edge_aware else GROUP), height - 1):
         begin, end = done + 1, min(done + 1 + RAW_ROWS, height)
         for near in range(begin, end):
-            hamming_row(view.census, near, max_disparity, count, c.raw[near - begin], c.sums)
+            hamming_row(view.census, near, max_disparity, count, edge_aware, c.raw[near - begin], c.sums)
         if edge_aware:
             smooth_along(begin, end, view.along, view.along_scales, c.raw, c.forward, c.backward, c.smooth)
         else:

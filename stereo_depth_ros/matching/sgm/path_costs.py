@@ -81,7 +81,7 @@ def start_path(cost: U8, after: U8) -> np.uint8:
     return least_lane(best)  # type: ignore[no-any-return]
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def step_row(
     image: U8,
     image_before: U8,

@@ -64,8 +64,8 @@ class Quality(NamedTuple):
 _PLAIN = Quality(4, 30, 150, edge_aware=False, own_right=False)  # of a network and of several pairs
 QUALITIES: Mapping[str, Quality] = {
     "fast": Quality(3, 30, 150, edge_aware=False, own_right=False),
-    "default": Quality(3, 17, 103, edge_aware=True, own_right=False),
-    "best": Quality(4, 17, 103, edge_aware=True, own_right=True),
+    "default": Quality(3, 12, 130, edge_aware=True, own_right=False),
+    "best": Quality(4, 12, 130, edge_aware=True, own_right=True),
 }
 
 
@@ -125,7 +125,7 @@ class SemiGlobalMatcher(SerialMatcher):
             max_disparity=config.max_disparity,
             disparities=config.num_disparities,
             uniqueness=UNIQUENESS_SHARE * config.uniqueness_ratio / 100,
-            tolerance=max(config.disp12_max_diff, 1),
+            tolerance=config.disp12_max_diff or 2,
             P1=np.uint8(effective.P1),
             P2=np.maximum(lowered, effective.P1).astype(np.uint8),
             approach_rows=APPROACH_ROWS,

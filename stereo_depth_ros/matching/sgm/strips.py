@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numba import boolean, float32, float64, int16, int64, uint8, uint16, uint32
+from numba import boolean, float32, float64, int16, int64, uint8, uint16
 
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.page_memory import on_pages
@@ -19,7 +19,6 @@ from stereo_depth_ros.matching.costs.features import copy_costs
 from stereo_depth_ros.matching.costs.permeability import GROUP
 from stereo_depth_ros.matching.costs.prior import PRIOR_COSTS, PriorCosts, add_prior_costs
 from stereo_depth_ros.matching.filters.speckle_filter import I16
-from stereo_depth_ros.matching.selection.summed_costs import U32
 from stereo_depth_ros.matching.sgm.cost_rows import COSTS, RAW_ROWS, SLOTS, VIEW, Costs, View, cost_rows, first_needed
 from stereo_depth_ros.matching.sgm.path_costs import path_step, start_path, step_row
 from stereo_depth_ros.matching.sgm.winners import (
@@ -30,7 +29,6 @@ from stereo_depth_ros.matching.sgm.winners import (
     lower_right,
     subpixel,
     take_winner,
-    total_cost,
 )
 
 __all__ = ["SPECKLE_STEPS_PER_PX", "STEPS_PER_PX", "Output", "Scratch", "Search", "match_strips"]
@@ -39,9 +37,6 @@ STEPS_PER_PX = 64
 SPECKLE_STEPS_PER_PX = 8  # 4096 disparities fit in 16 bits
 _BORDER, _UNIQUENESS = np.uint8(Reason.BORDER), np.uint8(Reason.UNIQUENESS)
 _ROWS = GROUP  # A step along a row waits for the one before it; steps in several rows do not wait for each other.
-# Where there is hardly any texture, costs that are smoothed over many pixels are alike, and paths add up their chance
-# differences. So the cost of a winner must lie below the mean of its pixel by this share and these half bits.
-CONTRAST, CONTRAST_HALF_BITS = np.float32(0.12), np.float32(1.5)
 _UP_ROWS, _UP_MASK = 8, 7  # a power of two above _ROWS: row y is at y & 7, as a division in every step takes long
 
 
@@ -87,7 +82,6 @@ class Scratch(NamedTuple):
     right_sums: U16  # (_ROWS, 2, (W + K) / 2 + 1) see lower_right
     right_indices: U16
     winners: U16  # (_ROWS, 5, W) see take_winner
-    sums_of_costs: U32  # (_ROWS, W)
 
     @classmethod
     def allocate(cls, rows: int, width: int, disparities: int, paths: int, edge_aware: bool) -> Scratch:
@@ -123,7 +117,6 @@ class Scratch(NamedTuple):
             right_sums=on_pages((_ROWS, 2, (width + count) // 2 + 1), np.uint16),
             right_indices=on_pages((_ROWS, 2, (width + count) // 2 + 1), np.uint16),
             winners=on_pages((_ROWS, 5, width), np.uint16),
-            sums_of_costs=on_pages((_ROWS, width), np.uint32),
         )
 
 
@@ -147,7 +140,7 @@ def _step_along(image: U8, x: int, x_before: int, cost: U8, search: Search, befo
         least[0] = path_step(before, least[0], cost, search.P1, search.P2[edge], after)
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def _finish_row(winners: U16, y: int, search: Search, output: Output) -> None:
     """Disparities and margins of a row of winners."""
     disparity_px, coarse, margins, reasons = (
@@ -173,18 +166,7 @@ def _finish_row(winners: U16, y: int, search: Search, output: Output) -> None:
         reasons[x] = _BORDER if least[x] == NO_SUM else unsure
 
 
-@compiled(allocates=False)
-def _reject_alike(cost: U8, best: U16, sums: U32, search: Search, reasons: U8) -> None:
-    """Mark the pixels of a row whose winner costs hardly less than their other disparities do on average."""
-    filled = (cost.shape[1] - search.disparities) * np.int64(LARGEST_COST)  # those that only fill a vector
-    for x in range(reasons.size):
-        mean = np.float32(np.int64(sums[x]) - filled) * (np.float32(1) / np.float32(search.disparities))
-        contrast = mean - np.float32(cost[x, best[x]])
-        if reasons[x] == 0 and contrast < max(CONTRAST * mean, CONTRAST_HALF_BITS):
-            reasons[x] = _UNIQUENESS
-
-
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, scratch: Scratch, output: Output) -> None:
     """Paths along rows first to last, at most ``_ROWS``, last exclusive, and the winners of all sums.
 
@@ -211,8 +193,6 @@ def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, sc
             if search.indices_only:
                 output.indices[y, x] = first_of(s.totals, least)
             else:
-                if search.edge_aware:
-                    s.sums_of_costs[i, x] = total_cost(s.cost[y - top, x])
                 if not search.own_right:
                     lower_right(s.totals, x, s.right_sums[i], s.right_indices[i])
                 take_winner(s.totals, least, x, s.winners[i])
@@ -220,8 +200,6 @@ def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, sc
         for y in range(first, last):
             winners = s.winners[y - first]
             _finish_row(winners, y, search, output)
-            if search.edge_aware and search.uniqueness > 0:
-                _reject_alike(s.cost[y - top], winners[0], s.sums_of_costs[y - first], search, output.reasons[y])
             if search.own_right:
                 for x in range(width):
                     output.indices[y, x] = winners[0, x]
@@ -250,7 +228,7 @@ def _step_rows(
         step_row(*rows, paths[n, at_before], least[n, before & 1], paths[n, at], least[n, y & 1])
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def _match_strip(
     a: int,
     b: int,
@@ -305,7 +283,7 @@ _SCRATCH = numba.types.NamedTuple(
         COSTS,
         *(uint8[:, :, ::1], uint8[:, :, :, ::1], uint8[:, :, :, ::1]),
         *(uint8[:, :, ::1], uint8[:, ::1], uint8[::1], uint8[:, :, ::1], uint8[:, :, ::1]),
-        *(uint16[:, ::1], uint16[:, :, ::1], uint16[:, :, ::1], uint16[:, :, ::1], uint32[:, ::1]),
+        *(uint16[:, ::1], uint16[:, :, ::1], uint16[:, :, ::1], uint16[:, :, ::1]),
     ],
     Scratch,
 )

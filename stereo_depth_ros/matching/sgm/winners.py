@@ -26,7 +26,6 @@ from stereo_depth_ros.core.vectors import (
     ramp,
     repeat,
     store,
-    sum_of_lanes,
     where_less,
 )
 
@@ -39,7 +38,6 @@ __all__ = [
     "second_of",
     "subpixel",
     "take_winner",
-    "total_cost",
 ]
 
 NO_SUM = np.uint16(65535)  # of a disparity outside the right image
@@ -131,16 +129,6 @@ def take_winner(sums: U16, least: np.uint16, x: int, winners: U16) -> None:
 
 
 @compiled(allocates=False)
-def total_cost(cost: U8) -> np.uint32:
-    """The sum of the costs of a pixel, uint8 (K,)."""
-    total = repeat(np.uint16(0))
-    for k in range(0, cost.size, BYTES):
-        here = load(cost, k)
-        total = add(total, add(even_words(here), odd_words(here)))
-    return sum_of_lanes(total)  # type: ignore[no-any-return]
-
-
-@compiled(allocates=False)
 def subpixel(before: np.uint16, here: np.uint16, after: np.uint16) -> float:
     """Sub-pixel part of the index, -0.5..0.5: the intersection u of two lines of opposite slope through three costs.
 
@@ -179,7 +167,7 @@ def _lower(sums: object, first: np.uint16, right_sums: U16, right_indices: U16, 
     store(right_sums, at, minimum(sums, before))
 
 
-@compiled(allocates=False)
+@compiled(allocates=False, inlined=False)
 def agree_row(best: U16, right_indices: U16, tolerance: int, reasons: U8) -> None:
     """Mark the pixels of a row whose right pixel prefers a disparity more than ``tolerance`` px away.
 
