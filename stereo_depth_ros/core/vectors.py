@@ -161,13 +161,16 @@ def _address(target: Any, builder: Any, signature: Any, arguments: Any, vector: 
 
 
 def _lanes_of(array: Any) -> Lanes | None:
-    plain = isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"
+    plain = isinstance(array, types.Array) and array.layout == "C"
     return _OF.get(array.dtype) if plain else None
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def load(_context: Any, array: Any, at: Any) -> Any:
-    """The vector of an array, uint8, uint16 or int16 (N,), from element ``at`` on; the caller stays inside."""
+    """The vector of a contiguous array of uint8, uint16 or int16 from element ``at`` on, counted over all dimensions.
+
+    The caller stays inside.
+    """
     lanes = _lanes_of(array)
     if lanes is None:
         return None
@@ -180,7 +183,7 @@ def load(_context: Any, array: Any, at: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def store(_context: Any, array: Any, at: Any, vector: Any) -> Any:
-    """Write a vector to an array from element ``at`` on."""
+    """Write a vector to a contiguous array from element ``at`` on, counted over all dimensions."""
     lanes = _lanes_of(array)
     if lanes is None or vector != lanes:
         return None

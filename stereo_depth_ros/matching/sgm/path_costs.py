@@ -45,38 +45,54 @@ def _step(below: Any, here: Any, above: Any, least: Any, P1: Any, P2: Any, cost:
 
 
 @compiled(allocates=False)
-def path_step(before: U8, least: np.uint8, cost: U8, P1: np.uint8, P2: np.uint8, after: U8) -> np.uint8:
+def path_step(
+    before: U8,
+    before_at: int,
+    least: np.uint8,
+    cost: U8,
+    cost_at: int,
+    size: int,
+    P1: np.uint8,
+    P2: np.uint8,
+    after: U8,
+    after_at: int,
+) -> np.uint8:
     """One step of all disparities of a pixel; returns the minimum of the new path costs.
 
+    The K costs of a pixel are in a contiguous array from an element on, which is counted over all dimensions: that
+    takes fewer instructions than views, which matters where K is one vector.
+
     Args:
-        before: uint8 (K,), path costs of the previous pixel.
+        before, before_at: uint8, path costs of the previous pixel.
         least: their minimum.
-        cost: uint8 (K,), matching costs of this pixel.
-        after: uint8 (K,), receives the path costs of this pixel; may be ``before``.
+        cost, cost_at: uint8, matching costs of this pixel.
+        size: K, whole vectors.
+        P1, P2: the penalties.
+        after, after_at: uint8, receives the path costs of this pixel; may be those before.
     """
     none = repeat(_TOP)
     least_before, step, jump = repeat(least), repeat(P1), repeat(P2)
-    last = cost.size - BYTES
-    best, below, here = none, none, load(before, 0)
+    last = size - BYTES
+    best, below, here = none, none, load(before, before_at)
     for k in range(0, last, BYTES):
-        above = load(before, k + BYTES)
-        total = _step(below, here, above, least_before, step, jump, load(cost, k))
-        store(after, k, total)
+        above = load(before, before_at + k + BYTES)
+        total = _step(below, here, above, least_before, step, jump, load(cost, cost_at + k))
+        store(after, after_at + k, total)
         best = minimum(best, total)
         below = here
         here = above
-    total = _step(below, here, none, least_before, step, jump, load(cost, last))
-    store(after, last, total)
+    total = _step(below, here, none, least_before, step, jump, load(cost, cost_at + last))
+    store(after, after_at + last, total)
     return least_lane(minimum(best, total))  # type: ignore[no-any-return]
 
 
 @compiled(allocates=False)
-def start_path(cost: U8, after: U8) -> np.uint8:
-    """The first pixel of a path: its matching costs; returns their minimum."""
+def start_path(cost: U8, cost_at: int, size: int, after: U8, after_at: int) -> np.uint8:
+    """The first pixel of a path: its matching costs; returns their minimum. Arguments as of :func:`path_step`."""
     best = repeat(_TOP)
-    for k in range(0, cost.size, BYTES):
-        here = load(cost, k)
-        store(after, k, here)
+    for k in range(0, size, BYTES):
+        here = load(cost, cost_at + k)
+        store(after, after_at + k, here)
         best = minimum(best, here)
     return least_lane(best)  # type: ignore[no-any-return]
 
@@ -103,11 +119,12 @@ def step_row(
         before, least_before: uint8 (W, K) and (W,), path costs of the previous row and their minimum per pixel.
         after, least_after: the same of this row, written.
     """
-    width = image.size
+    width, size = cost.shape
     for x in range(width):
-        x_before = x - shift
+        x_before, at = x - shift, x * size
         if x_before < 0 or x_before >= width:
-            least_after[x] = start_path(cost[x], after[x])
+            least_after[x] = start_path(cost, at, size, after, at)
         else:
             edge = abs(np.int64(image[x]) - np.int64(image_before[x_before]))
-            least_after[x] = path_step(before[x_before], least_before[x_before], cost[x], P1, P2[edge], after[x])
+            given = (before, x_before * size, least_before[x_before], cost, at, size)
+            least_after[x] = path_step(*given, P1, P2[edge], after, at)

@@ -23,6 +23,7 @@ from stereo_depth_ros.matching.sgm.cost_rows import COSTS, RAW_ROWS, SLOTS, VIEW
 from stereo_depth_ros.matching.sgm.path_costs import path_step, start_path, step_row
 from stereo_depth_ros.matching.sgm.winners import (
     NO_SUM,
+    add_diagonals,
     add_paths,
     agree_row,
     first_of,
@@ -130,16 +131,6 @@ class Output(NamedTuple):
     indices: U16
 
 
-@compiled(allocates=False)
-def _step_along(image: U8, x: int, x_before: int, cost: U8, search: Search, before: U8, after: U8, least: U8) -> None:
-    """A step along a row, from column ``x_before`` to x; the path starts if that is outside the row."""
-    if x_before < 0 or x_before >= image.size:
-        least[0] = start_path(cost, after)
-    else:
-        edge = abs(np.int64(image[x]) - np.int64(image[x_before]))
-        least[0] = path_step(before, least[0], cost, search.P1, search.P2[edge], after)
-
-
 @compiled(allocates=False, inlined=False)
 def _finish_row(winners: U16, y: int, search: Search, output: Output) -> None:
     """Disparities and margins of a row of winners."""
@@ -173,23 +164,38 @@ def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, sc
     Row y is at y - top in the buffers of costs and of paths from above.
     """
     s = scratch
-    width = image.shape[1]
+    width, size, rows = image.shape[1], s.cost.shape[2], last - first
+    costs, ups = (first - top) * width, len(s.up) > 0
     for x in range(width):
-        for y in range(first, last):
-            i = y - first
-            before = s.left[i, max(x - 1, 0)]
-            _step_along(image[y], x, x - 1, s.cost[y - top, x], search, before, s.left[i, x], s.least[i : i + 1])
+        for i in range(rows):
+            at, cost_at = (i * width + x) * size, (costs + i * width + x) * size
+            if x == 0:
+                s.least[i] = start_path(s.cost, cost_at, size, s.left, at)
+            else:
+                edge = abs(np.int64(image[first + i, x]) - np.int64(image[first + i, x - 1]))
+                given = (s.left, at - size, s.least[i], s.cost, cost_at, size)
+                s.least[i] = path_step(*given, search.P1, search.P2[edge], s.left, at)
     s.right_sums[:] = NO_SUM
+    diagonals, middle = len(s.down) > 1, len(s.down) // 2
     for j in range(width):
         x = width - 1 - j
-        at = x - search.max_disparity  # right column of index 0
-        begin, end = max(-at, 0), min(width - at, search.disparities)
-        for y in range(first, last):
-            i = y - first
-            path = s.right[i]
-            _step_along(image[y], x, x + 1, s.cost[y - top, x], search, path, path, s.least[i : i + 1])
-            ways = (s.left[i, x], path, s.down, y - top, s.up, y & _UP_MASK)
-            least = add_paths(*ways, x, begin, end, s.totals)
+        column = x - search.max_disparity  # right column of index 0
+        begin, end = max(-column, 0), min(width - column, search.disparities)
+        for i in range(rows):
+            y = first + i
+            at, cost_at, path_at = (i * width + x) * size, (costs + i * width + x) * size, i * size
+            if j == 0:
+                s.least[i] = start_path(s.cost, cost_at, size, s.right, path_at)
+            else:
+                edge = abs(np.int64(image[y, x]) - np.int64(image[y, x + 1]))
+                given = (s.right, path_at, s.least[i], s.cost, cost_at, size)
+                s.least[i] = path_step(*given, search.P1, search.P2[edge], s.right, path_at)
+            if diagonals:
+                add_diagonals(s.down, y - top, s.up, y & _UP_MASK, x, s.totals)
+            down_at = middle * s.down[0].size + cost_at
+            up_at = (((middle if ups else 0) * _UP_ROWS + (y & _UP_MASK)) * width + x) * size
+            ways = (s.left, at, s.right, path_at, s.down, down_at, s.up, up_at)
+            least = add_paths(*ways, size, begin, end, diagonals, s.totals)
             if search.indices_only:
                 output.indices[y, x] = first_of(s.totals, least)
             else:

@@ -31,6 +31,7 @@ from stereo_depth_ros.core.vectors import (
 
 __all__ = [
     "NO_SUM",
+    "add_diagonals",
     "add_paths",
     "agree_row",
     "first_of",
@@ -41,44 +42,74 @@ __all__ = [
 ]
 
 NO_SUM = np.uint16(65535)  # of a disparity outside the right image
-_TWO = np.uint16(2)
+_NOTHING, _TWO = np.uint16(0), np.uint16(2)
 _LEFT_RIGHT = np.uint8(Reason.LEFT_RIGHT)
+
+
+@compiled(allocates=False, inlined=False)
+def add_diagonals(down: U8, down_row: int, up: U8, up_row: int, x: int, sums: U16) -> None:
+    """Sums of the path costs of pixel x of a row over the four diagonals.
+
+    Args:
+        down, up: uint8 (3, rows, W, K), of paths from the rows above and from below; the second ones are vertical.
+        down_row, up_row: where this row is in them.
+        sums: uint16 (2, K / 2), written.
+    """
+    for k in range(0, down.shape[3], BYTES):
+        even, odd = repeat(_NOTHING), repeat(_NOTHING)
+        for n in range(0, 3, 2):
+            path, other = load(down[n, down_row, x], k), load(up[n, up_row, x], k)
+            even = add(even, add(even_words(path), even_words(other)))
+            odd = add(odd, add(odd_words(path), odd_words(other)))
+        store(sums[0], k // 2, even)
+        store(sums[1], k // 2, odd)
 
 
 @compiled(allocates=False)
 def add_paths(
-    left: U8, right: U8, down: U8, down_row: int, up: U8, up_row: int, x: int, begin: int, end: int, sums: U16
+    left: U8,
+    left_at: int,
+    right: U8,
+    right_at: int,
+    down: U8,
+    down_at: int,
+    up: U8,
+    up_at: int,
+    size: int,
+    begin: int,
+    end: int,
+    diagonals: bool,
+    sums: U16,
 ) -> np.uint16:
-    """Sums of the path costs of pixel x of a row, and their minimum, ``NO_SUM`` without any.
+    """Sums of the path costs of a pixel, and their minimum, ``NO_SUM`` without any.
 
     Args:
-        left, right: uint8 (K,), of the paths from the left and from the right.
-        down, up: uint8 (directions, rows, W, K), of paths from the rows above and from below; there may be none.
-        down_row, up_row: where this row is in them.
+        left, right, down, up: uint8, paths from the left, the right, above and below, contiguous, K of them from the
+            elements ``left_at`` to ``up_at`` on. There may be none from below.
+        size: K.
         begin, end: indices inside the right image, end exclusive; others get ``NO_SUM``.
+        diagonals: whether ``sums`` has those of other paths, which are added.
         sums: uint16 (2, K / 2), written.
     """
     none = repeat(NO_SUM)
     least = none
-    limited = begin > 0 or end < left.size
+    limited, upward, half = begin > 0 or end < size, up.size > 0, size // 2
     inside = repeat(np.uint16(max(end - begin, 0)))
-    for k in range(0, left.size, BYTES):
-        one, other = load(left, k), load(right, k)
-        even = add(even_words(one), even_words(other))
-        odd = add(odd_words(one), odd_words(other))
-        for n in range(len(down)):
-            path = load(down[n, down_row, x], k)
-            even = add(even, even_words(path))
-            odd = add(odd, odd_words(path))
-        for n in range(len(up)):
-            path = load(up[n, up_row, x], k)
-            even = add(even, even_words(path))
-            odd = add(odd, odd_words(path))
+    for k in range(0, size, BYTES):
+        at, other_at = k // 2, half + k // 2
+        one, other, third = load(left, left_at + k), load(right, right_at + k), load(down, down_at + k)
+        even = add(add(even_words(one), even_words(other)), even_words(third))
+        odd = add(add(odd_words(one), odd_words(other)), odd_words(third))
+        if upward:
+            path = load(up, up_at + k)
+            even, odd = add(even, even_words(path)), add(odd, odd_words(path))
+        if diagonals:
+            even, odd = add(even, load(sums, at)), add(odd, load(sums, other_at))
         if limited:
             even = where_less(add(ramp(), repeat(np.uint16(k - begin))), inside, even, none)
             odd = where_less(add(ramp(), repeat(np.uint16(k + 1 - begin))), inside, odd, none)
-        store(sums[0], k // 2, even)
-        store(sums[1], k // 2, odd)
+        store(sums, at, even)
+        store(sums, other_at, odd)
         least = minimum(least, minimum(even, odd))
     return least_lane(least)  # type: ignore[no-any-return]
 
