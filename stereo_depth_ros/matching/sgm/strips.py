@@ -142,12 +142,14 @@ def _finish_row(winners: U16, y: int, search: Search, output: Output) -> None:
     )
     best, least, rivals, before, after = winners[0], winners[1], winners[2], winners[3], winners[4]
     highest, last = search.max_disparity, search.disparities - 1
-    for x in range(disparity_px.size):  # two loops, as the compiler has no vectors for one of so many rows
-        lower = before[x] if best[x] > 0 else NO_SUM
-        higher = after[x] if best[x] < last else NO_SUM
-        index = np.rint((best[x] + subpixel(lower, least[x], higher)) * STEPS_PER_PX) * (1 / STEPS_PER_PX)
+    lowest = np.float32(highest - last)
+    for x in range(disparity_px.size):  # three loops, as the compiler has no vectors for one of so many rows
+        inside = best[x] > 0 and best[x] < last
+        part = subpixel(before[x] if inside else NO_SUM, least[x], after[x] if inside else NO_SUM)
+        index = np.rint((best[x] + part) * STEPS_PER_PX) * (1 / STEPS_PER_PX)
         disparity_px[x] = highest - index
-        coarse[x] = np.int16((last - index) * SPECKLE_STEPS_PER_PX)
+    for x in range(disparity_px.size):
+        coarse[x] = np.int16((disparity_px[x] - lowest) * np.float32(SPECKLE_STEPS_PER_PX))
     for x in range(disparity_px.size):
         first = np.float32(least[x])
         second = first if rivals[x] == NO_SUM else np.float32(rivals[x])  # without a second candidate the margin is 0

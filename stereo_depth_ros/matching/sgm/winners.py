@@ -168,10 +168,11 @@ def subpixel(before: np.uint16, here: np.uint16, after: np.uint16) -> float:
     stereo-vision systems", TIP 2012; with a factor fitted to a histogram of real disparities). It is 0 without both
     neighbors.
     """
-    height = np.float64(max(before, after)) - np.float64(here)
+    one, middle, other = np.float64(before), np.float64(here), np.float64(after)
+    height = max(one, other) - middle
     exists = before != NO_SUM and after != NO_SUM and height > 0
-    u = (np.float64(before) - np.float64(after)) / (2 * height if exists else 1.0)
-    return u * (1.25 - u * u) if exists else 0.0
+    u = np.divide(one - other, 2 * height if exists else 1.0)
+    return u * (1.25 - u * u) if exists else 0.0  # type: ignore[no-any-return]
 
 
 @compiled(allocates=False)
