@@ -79,7 +79,8 @@ class Scratch(NamedTuple):
     least: U8  # (_ROWS,) minimum path cost of the latest pixels along each row
     least_down: U8  # (directions, 2, W) minimum path cost of each pixel, of two alternating rows
     least_up: U8
-    totals: U16  # (2, K / 2) see winners.py
+    totals: U16  # (_ROWS, 2, K / 2) see winners.py
+    least_totals: U16  # (_ROWS,)
     right_sums: U16  # (_ROWS, 2, (W + K) / 2 + 1) see lower_right
     right_indices: U16
     winners: U16  # (_ROWS, 5, W) see take_winner
@@ -114,7 +115,8 @@ class Scratch(NamedTuple):
             least=on_pages((_ROWS,), np.uint8),
             least_down=on_pages((down, 2, width), np.uint8),
             least_up=on_pages((up, 2, width), np.uint8),
-            totals=on_pages((2, count // 2), np.uint16),
+            totals=on_pages((_ROWS, 2, count // 2), np.uint16),
+            least_totals=on_pages((_ROWS,), np.uint16),
             right_sums=on_pages((_ROWS, 2, (width + count) // 2 + 1), np.uint16),
             right_indices=on_pages((_ROWS, 2, (width + count) // 2 + 1), np.uint16),
             winners=on_pages((_ROWS, 5, width), np.uint16),
@@ -193,17 +195,18 @@ def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, sc
                 given = (s.right, path_at, s.least[i], s.cost, cost_at, size)
                 s.least[i] = path_step(*given, search.P1, search.P2[edge], s.right, path_at)
             if diagonals:
-                add_diagonals(s.down, y - top, s.up, y & _UP_MASK, x, s.totals)
+                add_diagonals(s.down, y - top, s.up, y & _UP_MASK, x, s.totals[i])
             down_at = middle * s.down[0].size + cost_at
             up_at = (((middle if ups else 0) * _UP_ROWS + (y & _UP_MASK)) * width + x) * size
             ways = (s.left, at, s.right, path_at, s.down, down_at, s.up, up_at)
-            least = add_paths(*ways, size, begin, end, diagonals, s.totals)
+            s.least_totals[i] = add_paths(*ways, size, begin, end, diagonals, s.totals[i])
+        for i in range(rows):  # a loop of its own: what one row waits for, the others do meanwhile
             if search.indices_only:
-                output.indices[y, x] = first_of(s.totals, least)
+                output.indices[first + i, x] = first_of(s.totals[i], s.least_totals[i])
             else:
                 if not search.own_right:
-                    lower_right(s.totals, x, s.right_sums[i], s.right_indices[i])
-                take_winner(s.totals, least, x, s.winners[i])
+                    lower_right(s.totals[i], x, s.right_sums[i], s.right_indices[i])
+                take_winner(s.totals[i], s.least_totals[i], x, s.winners[i])
     if not search.indices_only:
         for y in range(first, last):
             winners = s.winners[y - first]
@@ -291,7 +294,7 @@ _SCRATCH = numba.types.NamedTuple(
         COSTS,
         *(uint8[:, :, ::1], uint8[:, :, :, ::1], uint8[:, :, :, ::1]),
         *(uint8[:, :, ::1], uint8[:, ::1], uint8[::1], uint8[:, :, ::1], uint8[:, :, ::1]),
-        *(uint16[:, ::1], uint16[:, :, ::1], uint16[:, :, ::1], uint16[:, :, ::1]),
+        *(uint16[:, :, ::1], uint16[::1], uint16[:, :, ::1], uint16[:, :, ::1], uint16[:, :, ::1]),
     ],
     Scratch,
 )
