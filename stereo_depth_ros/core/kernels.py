@@ -14,6 +14,7 @@ import time
 import types
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,6 +24,7 @@ from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
 from numba.core.runtime.nrt import rtsys
 
 __all__ = ["READ_ONLY_U8", "Kernel", "compile_kernels", "compiled"]
@@ -76,6 +78,20 @@ class _HelperCompiler(Compiler):  # type: ignore[misc]
         super().__init__(typing, target, _HelperLibrary(target.codegen(), "helper"), *rest)
 
 
+class _HelperDispatcher(CPUDispatcher):  # type: ignore[misc]
+    """A helper; called from Python, as tests do, it is compiled once more on its own."""
+
+    def add_overload(self, result: Any) -> None:
+        self.overloads[tuple(result.signature.args)] = result
+
+    def _compile_for_args(self, *args: Any, **kwargs: Any) -> Any:
+        return self._alone._compile_for_args(*args, **kwargs)
+
+    @cached_property
+    def _alone(self) -> Any:
+        return numba.njit(nogil=True)(self.py_func)
+
+
 def compiled(*signatures: Any, allocates: bool = True, inlined: bool = True) -> Callable[[FunctionT], FunctionT]:
     """Decorator: compile to machine code that releases the GIL and is cached on disk.
 
@@ -95,6 +111,8 @@ def compiled(*signatures: Any, allocates: bool = True, inlined: bool = True) -> 
             options |= {"forceinline": inlined and not allocates, "no_cpython_wrapper": True}
             options |= {"pipeline_class": _HelperCompiler}
         dispatcher: Any = numba.njit(**options)(function)
+        if not signatures:
+            dispatcher.__class__ = _HelperDispatcher
         return Kernel(dispatcher, signatures, allocates) if signatures else dispatcher  # type: ignore[return-value]
 
     return decorate
