@@ -41,7 +41,6 @@ from stereo_depth_ros.matching.sgm.strips import (
 __all__ = ["QUALITIES", "Quality", "SemiGlobalMatcher"]
 
 EDGE_GRAY_LEVELS = 6.0  # difference of neighbors at which P2 is halved
-UNIQUENESS_SHARE = 1 / 3  # of uniqueness_ratio: sums over paths differ less than the window sums it is defined for
 STRIP_BYTES = 24 << 20  # of costs: smaller strips stay in the cache, larger ones need less warm-up
 STRIP_ROWS = 120  # of strips that keep a few rows: a fixed number, so that results do not depend on the cores
 APPROACH_ROWS = 16
@@ -59,13 +58,16 @@ class Quality(NamedTuple):
     P2: int
     edge_aware: bool  # costs are smoothed along the image, see permeability.py
     own_right: bool  # the right image is matched on its own for the left-right check
+    uniqueness_share: float  # of uniqueness_ratio: sums over paths differ less than the window sums it is defined for
 
 
-_PLAIN = Quality(4, 30, 150, edge_aware=False, own_right=False)  # of a network and of several pairs
+_PLAIN = Quality(
+    4, 30, 150, edge_aware=False, own_right=False, uniqueness_share=1 / 3
+)  # of a network and of several pairs
 QUALITIES: Mapping[str, Quality] = {
-    "fast": Quality(3, 30, 150, edge_aware=False, own_right=False),
-    "default": Quality(3, 12, 130, edge_aware=True, own_right=False),
-    "best": Quality(4, 12, 130, edge_aware=True, own_right=True),
+    "fast": Quality(3, 30, 150, edge_aware=False, own_right=False, uniqueness_share=1 / 3),
+    "default": Quality(3, 12, 150, edge_aware=True, own_right=False, uniqueness_share=1 / 3),
+    "best": Quality(4, 12, 150, edge_aware=True, own_right=True, uniqueness_share=1 / 6),
 }
 
 
@@ -124,7 +126,7 @@ class SemiGlobalMatcher(SerialMatcher):
         self._search = Search(
             max_disparity=config.max_disparity,
             disparities=config.num_disparities,
-            uniqueness=UNIQUENESS_SHARE * config.uniqueness_ratio / 100,
+            uniqueness=effective.uniqueness_share * config.uniqueness_ratio / 100,
             tolerance=config.disp12_max_diff or 2,
             P1=np.uint8(effective.P1),
             P2=np.maximum(lowered, effective.P1).astype(np.uint8),

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numba import boolean, float32, float64, int16, int64, uint8, uint16
+from numba import boolean, float32, float64, int16, int64, uint8, uint16, uint32
 
 from stereo_depth_ros.core.kernels import READ_ONLY_U8, compiled
 from stereo_depth_ros.core.page_memory import on_pages
@@ -19,6 +19,7 @@ from stereo_depth_ros.matching.costs.features import copy_costs
 from stereo_depth_ros.matching.costs.permeability import GROUP
 from stereo_depth_ros.matching.costs.prior import PRIOR_COSTS, PriorCosts, add_prior_costs
 from stereo_depth_ros.matching.filters.speckle_filter import I16
+from stereo_depth_ros.matching.selection.summed_costs import U32
 from stereo_depth_ros.matching.sgm.cost_rows import COSTS, RAW_ROWS, SLOTS, VIEW, Costs, View, cost_rows, first_needed
 from stereo_depth_ros.matching.sgm.path_costs import path_step, start_path, step_row
 from stereo_depth_ros.matching.sgm.winners import (
@@ -30,6 +31,7 @@ from stereo_depth_ros.matching.sgm.winners import (
     lower_right,
     subpixel,
     take_winner,
+    total_cost,
 )
 
 __all__ = ["SPECKLE_STEPS_PER_PX", "STEPS_PER_PX", "Output", "Scratch", "Search", "match_strips"]
@@ -38,6 +40,9 @@ STEPS_PER_PX = 64
 SPECKLE_STEPS_PER_PX = 8  # 4096 disparities fit in 16 bits
 _BORDER, _UNIQUENESS = np.uint8(Reason.BORDER), np.uint8(Reason.UNIQUENESS)
 _ROWS = GROUP  # A step along a row waits for the one before it; steps in several rows do not wait for each other.
+# Costs that are smoothed over many pixels without texture are alike, and paths add up their chance differences. So the
+# cost of a winner must lie below the mean of its pixel by this share and these half bits.
+CONTRAST, CONTRAST_HALF_BITS = np.float32(0.07), np.float32(1.0)
 _UP_ROWS, _UP_MASK = 8, 7  # a power of two above _ROWS: row y is at y & 7, as a division in every step takes long
 
 
@@ -81,6 +86,7 @@ class Scratch(NamedTuple):
     least_up: U8
     totals: U16  # (_ROWS, 2, K / 2) see winners.py
     least_totals: U16  # (_ROWS,)
+    sums_of_costs: U32  # (_ROWS, W)
     right_sums: U16  # (_ROWS, 2, (W + K) / 2 + 1) see lower_right
     right_indices: U16
     winners: U16  # (_ROWS, 5, W) see take_winner
@@ -117,6 +123,7 @@ class Scratch(NamedTuple):
             least_up=on_pages((up, 2, width), np.uint8),
             totals=on_pages((_ROWS, 2, count // 2), np.uint16),
             least_totals=on_pages((_ROWS,), np.uint16),
+            sums_of_costs=on_pages((_ROWS, width), np.uint32),
             right_sums=on_pages((_ROWS, 2, (width + count) // 2 + 1), np.uint16),
             right_indices=on_pages((_ROWS, 2, (width + count) // 2 + 1), np.uint16),
             winners=on_pages((_ROWS, 5, width), np.uint16),
@@ -159,6 +166,17 @@ def _finish_row(winners: U16, y: int, search: Search, output: Output) -> None:
         margins[x] = margin
         unsure = _UNIQUENESS if margin < search.uniqueness else np.uint8(0)
         reasons[x] = _BORDER if least[x] == NO_SUM else unsure
+
+
+@compiled(allocates=False)
+def _reject_alike(cost: U8, best: U16, sums: U32, search: Search, reasons: U8) -> None:
+    """Mark the pixels of a row whose winner costs hardly less than their other disparities do on average."""
+    filled = (cost.shape[1] - search.disparities) * np.int64(LARGEST_COST)  # those that only fill a vector
+    for x in range(reasons.size):
+        mean = np.float32(np.int64(sums[x]) - filled) * (np.float32(1) / np.float32(search.disparities))
+        contrast = mean - np.float32(cost[x, best[x]])
+        if reasons[x] == 0 and contrast < max(CONTRAST * mean, CONTRAST_HALF_BITS):
+            reasons[x] = _UNIQUENESS
 
 
 @compiled(allocates=False, inlined=False)
@@ -207,10 +225,14 @@ def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, sc
                 if not search.own_right:
                     lower_right(s.totals[i], x, s.right_sums[i], s.right_indices[i])
                 take_winner(s.totals[i], s.least_totals[i], x, s.winners[i])
+                if search.edge_aware:
+                    s.sums_of_costs[i, x] = total_cost(s.cost, (costs + i * width + x) * size, size)
     if not search.indices_only:
         for y in range(first, last):
             winners = s.winners[y - first]
             _finish_row(winners, y, search, output)
+            if search.edge_aware and search.uniqueness > 0:
+                _reject_alike(s.cost[y - top], winners[0], s.sums_of_costs[y - first], search, output.reasons[y])
             if search.own_right:
                 for x in range(width):
                     output.indices[y, x] = winners[0, x]
@@ -294,7 +316,7 @@ _SCRATCH = numba.types.NamedTuple(
         COSTS,
         *(uint8[:, :, ::1], uint8[:, :, :, ::1], uint8[:, :, :, ::1]),
         *(uint8[:, :, ::1], uint8[:, ::1], uint8[::1], uint8[:, :, ::1], uint8[:, :, ::1]),
-        *(uint16[:, :, ::1], uint16[::1], uint16[:, :, ::1], uint16[:, :, ::1], uint16[:, :, ::1]),
+        *(uint16[:, :, ::1], uint16[::1], uint32[:, ::1], uint16[:, :, ::1], uint16[:, :, ::1], uint16[:, :, ::1]),
     ],
     Scratch,
 )

@@ -26,6 +26,7 @@ from stereo_depth_ros.core.vectors import (
     ramp,
     repeat,
     store,
+    sum_of_lanes,
     where_less,
 )
 
@@ -39,6 +40,7 @@ __all__ = [
     "second_of",
     "subpixel",
     "take_winner",
+    "total_cost",
 ]
 
 NO_SUM = np.uint16(65535)  # of a disparity outside the right image
@@ -157,6 +159,16 @@ def take_winner(sums: U16, least: np.uint16, x: int, winners: U16) -> None:
     winners[2, x] = second_of(sums, best)
     winners[3, x] = sums[before & 1, before >> 1]
     winners[4, x] = sums[after & 1, after >> 1]
+
+
+@compiled(allocates=False)
+def total_cost(cost: U8, cost_at: int, size: int) -> np.uint32:
+    """The sum of the ``size`` costs of a pixel, of a contiguous array from element ``cost_at`` on."""
+    total = repeat(np.uint16(0))
+    for k in range(cost_at, cost_at + size, BYTES):
+        here = load(cost, k)
+        total = add(total, add(even_words(here), odd_words(here)))
+    return sum_of_lanes(total)  # type: ignore[no-any-return]
 
 
 @compiled(allocates=False)
