@@ -48,6 +48,7 @@ SUBPIXEL_SCENES = ("Motorcycle_quarter", "terrace")  # with ground truth that is
 SPEED_SCENE = "Motorcycle_quarter"  # its 60 px of disparity become 52 px and 103 px
 SIZES = ((640, 480, 64), (1280, 720, 128))
 FIGURES = ("density", "bad_0_5", "bad_1", "bad_2", "bad_2_all", "avg_px")
+QUALITIES, DENSITY = ("fast", "default", "best"), 0.85
 REGIONS = ("edges", "thin")  # near depth edges and of thin structures
 REGION_FIGURES = ("density", "bad_2")
 BINS = 10
@@ -149,6 +150,59 @@ def accuracy(scenes: dict[str, Scene], rounds: int = 5) -> list[Row]:
             row |= _in_hard_regions(found, data.truth_px)
             rows.append(row | {"ms": statistics.median(times[name])})
     return rows
+
+
+class Pixels(NamedTuple):
+    """The pixels of a scene with truth: absolute errors, NaN without a disparity, of the result and of a filled one."""
+
+    errors_px: F32
+    confidence: F32
+    filled_px: F32
+    visible: npt.NDArray[np.bool_]  # in the right image too
+
+
+def at_density(scenes: dict[str, Scene]) -> list[Row]:
+    """Errors of the qualities of sgm as they are, and without the least confident pixels until the density is 0.85.
+
+    One threshold of the confidence for all scenes, so that the mean of their densities is that.
+    """
+    rows: list[Row] = []
+    for quality in QUALITIES:
+        pixels = {name: _pixels_with_truth(scene, quality) for name, scene in scenes.items()}
+        groups = {"all": list(pixels), "tuned on": [*TUNED_ON], "held out": [n for n in pixels if n not in TUNED_ON]}
+        for group, names in groups.items():
+            chosen = [pixels[name] for name in names if name in pixels]
+            if chosen:
+                low, high = 0.0, 1.0
+                for _ in range(30):
+                    middle = (low + high) / 2
+                    dense = np.mean([_figures(scene, middle)["density"] for scene in chosen]) > 100 * DENSITY
+                    low, high = (middle, high) if dense else (low, middle)
+                for threshold, at in ((-1.0, "natural"), (low, f"{DENSITY}")):
+                    figures = [_figures(scene, threshold) for scene in chosen]
+                    row: Row = {"quality": quality, "scenes": group, "at": at}
+                    rows.append(row | {name: float(np.mean([of[name] for of in figures])) for name in figures[0]})
+    return rows
+
+
+def _pixels_with_truth(scene: Scene, quality: str) -> Pixels:
+    search, known = search_range(MatchingConfig(), scene.truth_px), np.isfinite(scene.truth_px)
+    found = create_matcher("sgm", search, quality=quality).match(scene.left, scene.right)
+    filled = create_matcher("sgm", search, quality=quality, fill_holes=True).match(scene.left, scene.right)
+    assert found.confidence is not None
+    errors, filled_errors = (np.abs(of.disparity_px - scene.truth_px)[known] for of in (found, filled))
+    return Pixels(errors, found.confidence[known], filled_errors, scene.visible[known])
+
+
+def _figures(scene: Pixels, threshold: float) -> Row:
+    """Shares of pixels in percent, and the mean error; ``noc`` is of the pixels that both cameras see."""
+    kept, seen = np.isfinite(scene.errors_px) & (scene.confidence >= threshold), scene.visible
+    errors, both = scene.errors_px[kept], scene.errors_px[kept & seen]
+    row: Row = {"density": kept.mean(), "density noc": kept[seen].mean()}
+    row |= {"bad_1": (errors > 1).mean(), "bad_2": (errors > 2).mean(), "bad_2 noc": (both > 2).mean()}
+    filled = {"filled bad_2": scene.filled_px, "filled noc": scene.filled_px[seen]}
+    row |= {name: (of > 2).mean() if threshold < 0 else math.nan for name, of in filled.items()}
+    return {name: 100 * float(share) for name, share in row.items()} | {"avg_px": float(errors.mean())}
 
 
 def _in_hard_regions(found: F32, truth_px: F32) -> Row:
@@ -289,6 +343,7 @@ def speed(scene: Scene, rounds: int) -> list[Row]:
                 row |= {"minimum ms": min(ms), "median ms": statistics.median(ms)}
                 row |= {"ratio of minima": min(ms) / min(times["SGBM"])}
                 row |= {"ratio of medians": statistics.median(ms) / statistics.median(times["SGBM"])}
+                row |= {"to 3WAY": statistics.median(ms) / statistics.median(times["3WAY"])}
                 required = name == "sgm" and cores == 2
                 rows.append(row | {"holds": row["ratio of medians"] <= LARGEST_TIME_RATIO if required else None})
     return rows
@@ -342,7 +397,7 @@ def main() -> None:
     default = os.environ.get("STEREO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
     parser.add_argument("--data", type=Path, default=Path(default), help="folder of scenes with ground truth")
     parser.add_argument("--scenes", nargs="+", default=[], help="names of scenes; default: all")
-    parts = ("accuracy", "prior", "locking", "speed")
+    parts = ("accuracy", "density", "prior", "locking", "speed")
     parser.add_argument("--parts", nargs="+", default=parts, choices=parts)
     parser.add_argument("--rounds", type=int, default=15, help="number of timed rounds for speed")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all rows as JSON")
@@ -357,6 +412,9 @@ def main() -> None:
         table("Accuracy; bad in percent, avg in px, ms on all cores", rows)
         table("Means over the scenes", found["means"])
         table("sgm against SGBM", found["requirements"])
+    if "density" in options.parts:
+        found["density"] = at_density(scenes)
+        table(f"sgm as it is, and at a mean density of {DENSITY}; percent, avg in px", found["density"])
     if "prior" in options.parts:
         found["prior"] = guided(scenes)
         table("Means of sgm with points of a prior, sampled from the truth", guided_means(found["prior"]))

@@ -10,8 +10,10 @@ import pytest
 
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.matching.costs.census import (
+    CAP,
     CENSUS_BITS,
     CENSUS_PLANES,
+    GRAY,
     LARGEST_COST,
     MARGIN,
     NEUTRAL_COST,
@@ -41,9 +43,39 @@ def census_by_definition(image: U8) -> U64:
     return codes
 
 
-def costs_by_definition(left: U64, right: U64, max_disparity: int, count: int) -> I64:
-    """int64 (H, W, K), index k is disparity ``max_disparity - k``; outside the cost at the end goes on, 16 at most."""
-    return continued(raw_by_definition(left, right, max_disparity, count), max_disparity)
+def costs_by_definition(
+    left: U64, right: U64, max_disparity: int, count: int, images: tuple[U8, U8] | None = None
+) -> I64:
+    """int64 (H, W, K), index k is disparity ``max_disparity - k``; outside the cost at the end goes on, 16 at most.
+
+    With images, capped differences of gray levels are added where there is hardly any texture in the left one.
+    """
+    raw = raw_by_definition(left, right, max_disparity, count)
+    if images is not None:
+        raw += differences_by_definition(*images, max_disparity, count)
+    return continued(raw, max_disparity)
+
+
+def caps_by_definition(image: U8) -> I64:
+    """int64 (H, W): 12 where the gray levels of 7 x 5 pixels without two corners span 6 or less, 0 from 14 on."""
+    padded = np.pad(image.astype(np.int64), ((2, 2), (3, 3)), mode="edge")
+    height, width = image.shape
+    ways = [(y, x) for y in range(5) for x in range(7) if (y, x) not in ((0, 0), (4, 6))]
+    near = np.stack([padded[y : y + height, x : x + width] for y, x in ways])
+    under = np.maximum(14 - (near.max(axis=0) - near.min(axis=0)), 0)
+    return np.minimum(under + (under + 1) // 2, 12)
+
+
+def differences_by_definition(left: U8, right: U8, max_disparity: int, count: int) -> I64:
+    """int64 (H, W, K): a quarter of the capped differences, 0 outside the right image."""
+    height, width = left.shape
+    caps, found = caps_by_definition(left), np.zeros((height, width, count), np.int64)
+    for x in range(width):
+        for k in range(count):
+            if 0 <= x - max_disparity + k < width:
+                difference = abs(left[:, x].astype(np.int64) - right[:, x - max_disparity + k])
+                found[:, x, k] = np.minimum(difference, caps[:, x]) // 4
+    return found
 
 
 def raw_by_definition(left: U64, right: U64, max_disparity: int, count: int) -> I64:
@@ -81,6 +113,12 @@ def planes(codes: U64) -> U8:
     return buffer
 
 
+def with_grays(buffer: U8, image: U8) -> None:
+    """Write what the kernel has beside the codes."""
+    buffer[:, GRAY, MARGIN:-MARGIN] = image
+    buffer[:, CAP, MARGIN:-MARGIN] = caps_by_definition(image)
+
+
 def census(image: U8) -> U64:
     """uint64 (H, W): the codes of the kernel as :func:`census_by_definition` has them."""
     buffer = empty_census(*image.shape)
@@ -96,13 +134,15 @@ def codes_of(buffer: U8) -> U64:
     return codes
 
 
-def costs(left: U64, right: U64, max_disparity: int, count: int) -> U8:
+def costs(left: U64, right: U64, max_disparity: int, count: int, images: tuple[U8, U8] | None = None) -> U8:
     height, width = left.shape[-2:]
     size = padded_count(count)
     raw, sums = np.full((height, width + 2, size), 77, np.uint8), np.empty(size, np.uint16)
     census = planes(np.stack([left, right], axis=-3).reshape(-1, 2, height, width))  # of one pair, or of several
+    for own, image in zip(census[0], images or (), strict=False):
+        with_grays(own, image)
     for y in range(height):
-        hamming_row(census, y, max_disparity, count, raw[y], sums)
+        hamming_row(census, y, max_disparity, count, images is not None, raw[y], sums)
     np.testing.assert_array_equal(raw[:, [0, -1]], raw[:, [1, -2]])
     assert (raw[..., count:] == LARGEST_COST).all()
     return raw[:, 1:-1, :count]
@@ -122,6 +162,29 @@ def test_census_of_some_rows_leaves_the_others() -> None:
     census_rows(4, 9, image, buffer)
     np.testing.assert_array_equal(codes_of(buffer[4:9]), census_by_definition(image)[4:9])
     assert (buffer[:4] == 7).all() and (buffer[9:] == 7).all() and (buffer[..., :MARGIN] == 7).all()
+
+
+@pytest.mark.parametrize("shape", [(13, 150), (1, 64), (5, 65), (9, 1)])
+def test_gray_levels_and_caps_are_beside_the_codes(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(shape[1])
+    image = (rng.integers(0, 200) + rng.integers(0, 20, shape) * rng.integers(0, 2, shape)).astype(np.uint8)
+    image[:, : shape[1] // 2] = 77
+    buffer = empty_census(*shape)
+    census_rows(0, len(image), image, buffer)
+    np.testing.assert_array_equal(buffer[:, GRAY, MARGIN:-MARGIN], image)
+    np.testing.assert_array_equal(buffer[:, CAP, MARGIN:-MARGIN], caps_by_definition(image))
+    np.testing.assert_array_equal(codes_of(buffer), census_by_definition(image))
+
+
+def test_gray_differences_are_added_where_there_is_hardly_any_texture() -> None:
+    rng = np.random.default_rng(8)
+    images = rng.integers(90, 106, (2, 6, 75)).astype(np.uint8)
+    images[:, :, 20:] //= 4
+    images[1] += 9
+    codes = [census_by_definition(image) for image in images]
+    expected = costs_by_definition(*codes, 40, 80, (images[0], images[1]))
+    assert (expected != costs_by_definition(*codes, 40, 80)).mean() > 0.2
+    np.testing.assert_array_equal(costs(*codes, 40, 80, (images[0], images[1])), expected)
 
 
 def test_census_ignores_gain_and_offset_and_takes_read_only_images() -> None:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
-from test_census import costs_by_definition, planes
+from test_census import costs_by_definition, planes, with_grays
 
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.matching.costs.census import CENSUS_BITS, LARGEST_COST, padded_count
@@ -71,12 +71,16 @@ def permeably_smoothed(raw: I64, image: U8, top: int = 0) -> I64:
     return smoothed
 
 
-def view_of(image: U8, left: npt.NDArray[np.uint64], right: npt.NDArray[np.uint64]) -> View:
+def view_of(image: U8, left: npt.NDArray[np.uint64], right: npt.NDArray[np.uint64], other: U8 | None = None) -> View:
+    """What is computed of an image with these codes, and of the other one, which is the same if not given."""
     height, width = image.shape
     along, scales = np.zeros((2, height, width), np.uint16)
     down = np.zeros((height + 2 * GROUP, width), np.uint16)
     permeability_rows(0, height, image, permeabilities(), along, scales, down)
-    return View(planes(np.stack([left, right])[None]), along, scales, down)
+    census = planes(np.stack([left, right])[None])
+    with_grays(census[0, 0], image)
+    with_grays(census[0, 1], image if other is None else other)
+    return View(census, along, scales, down)
 
 
 def costs(view: View, top: int, max_disparity: int, count: int, edge_aware: bool) -> U8:
@@ -109,10 +113,11 @@ def test_costs_are_those_of_the_definition(
     rng = np.random.default_rng(shape[1])
     image = rng.choice([0, 3, 7, 250], shape, p=[0.4, 0.3, 0.2, 0.1]).astype(np.uint8)
     left, right = (rng.integers(0, 1 << CENSUS_BITS, shape, np.uint64) for _ in range(2))
-    raw = costs_by_definition(left, right, max_disparity, count)
+    other = image[:, ::-1].copy()
+    raw = costs_by_definition(left, right, max_disparity, count, (image, other) if edge_aware else None)
     for top in range(0, shape[0], 8):  # strips
         expected = permeably_smoothed(raw, image, top) if edge_aware else plainly_smoothed(raw)[top:]
-        found = costs(view_of(image, left, right), top, max_disparity, count, edge_aware)
+        found = costs(view_of(image, left, right, other), top, max_disparity, count, edge_aware)
         np.testing.assert_array_equal(found, expected)
         assert found.max() <= LARGEST_SMOOTHED
 
@@ -121,8 +126,10 @@ def test_costs_are_those_of_the_definition(
 def test_equal_costs_stay_and_none_is_above_the_largest(edge_aware: bool) -> None:
     image = np.full((21, 70), 90, np.uint8)  # everything passes as far as it can
     zero, full = np.zeros(image.shape, np.uint64), np.full(image.shape, (1 << CENSUS_BITS) - 1, np.uint64)
-    found = costs(view_of(image, zero, full), 0, 0, 16, edge_aware)[:, :, 0]  # disparity 0, the same for all pixels
-    assert found.min() >= LARGEST_SMOOTHED - 3 and found.max() <= LARGEST_SMOOTHED
+    view = view_of(image, zero, full, np.zeros_like(image))
+    found = costs(view, 0, 0, 16, edge_aware)[:, :, 0]  # disparity 0, the same for all pixels
+    largest = LARGEST_SMOOTHED if edge_aware else 2 * CENSUS_BITS
+    assert found.min() >= largest - 3 and found.max() <= largest
 
 
 def test_edge_aware_costs_do_not_cross_edges() -> None:
@@ -132,8 +139,8 @@ def test_edge_aware_costs_do_not_cross_edges() -> None:
     right = np.zeros(image.shape, np.uint64)
     right[:, 30:] = (1 << CENSUS_BITS) - 1
     smooth, plain = (costs(view_of(image, left, right), 0, 0, 16, aware)[10, :, 0] for aware in (True, False))
-    assert smooth[29] == 0 and smooth[30] >= LARGEST_SMOOTHED - 3
-    assert plain[29] > 8 and plain[30] < LARGEST_SMOOTHED - 8
+    assert smooth[29] == 0 and smooth[30] >= 2 * CENSUS_BITS - 3
+    assert plain[29] > 8 and plain[30] < 2 * CENSUS_BITS - 8
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 19), (0, 1), (5, 18)])

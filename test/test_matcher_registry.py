@@ -16,7 +16,7 @@ from stereo_depth_ros.config import CONFIGS, MatchingConfig, PipelineConfig, mat
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.types import U8, MatchResult
 from stereo_depth_ros.matching import MATCHERS, create_matcher, onnx, registry
-from stereo_depth_ros.matching.costs.census import MARGIN, census_rows, empty_census
+from stereo_depth_ros.matching.costs.census import CENSUS_PLANES, MARGIN, census_rows, empty_census
 from stereo_depth_ros.matching.networks.network import Network
 from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
@@ -71,7 +71,7 @@ def left_census(left: U8, right: U8) -> np.ndarray:
     """uint32 (H, W): the descriptors that the costs of the matcher sgm compare."""
     codes = empty_census(*left.shape)
     census_rows(0, left.shape[0], left, codes)
-    inside = np.ascontiguousarray(codes[:, :, MARGIN:-MARGIN].transpose(0, 2, 1))
+    inside = np.ascontiguousarray(codes[:, :CENSUS_PLANES, MARGIN:-MARGIN].transpose(0, 2, 1))
     return inside.view(np.uint32)[..., 0]
 
 

@@ -137,9 +137,9 @@ def test_points_outside_the_search_and_empty_priors_change_nothing() -> None:
 
 
 def test_costs_stay_within_8_bits() -> None:
-    """With the largest penalties that are allowed, path costs of 64 half bits are the most that fit."""
+    """With the largest penalties that are allowed, path costs of 70 half bits are the most that fit."""
     left, right, truth_px = wall_without_texture()
-    config = MatchingConfig(num_disparities=COUNT, sgm_P1=95, sgm_P2=96)
+    config = MatchingConfig(num_disparities=COUNT, sgm_P1=92, sgm_P2=93)
     result = create_matcher("sgm", config).match(left, right, prior=points(0.1, truth_px))
     valid = np.isfinite(result.disparity_px[:, COUNT:])
     assert np.mean(np.abs(result.disparity_px[:, COUNT:][valid] - WALL_PX) < 1) > 0.97

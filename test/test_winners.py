@@ -12,6 +12,7 @@ import pytest
 from stereo_depth_ros.core.types import U8, U16, Reason
 from stereo_depth_ros.matching.sgm.winners import (
     NO_SUM,
+    add_diagonals,
     add_paths,
     agree_row,
     lower_right,
@@ -42,7 +43,13 @@ def winner(sums: U16) -> list[int]:
 
 @numba.njit
 def _add(left: U8, right: U8, down: U8, up: U8, x: int, begin: int, end: int, sums: U16) -> int:
-    return add_paths(left, right, down, 1, up, 0, x, begin, end, sums)
+    size, diagonals = left.size, len(down) > 1
+    if diagonals:
+        add_diagonals(down, 1, up, 0, x, sums)
+    vertical = len(down) // 2  # of all three
+    down_at = ((vertical * down.shape[1] + 1) * down.shape[2] + x) * size
+    up_at = (len(up) // 2 * up.shape[1] * up.shape[2] + x) * size
+    return add_paths(left, 0, right, 0, down, down_at, up, up_at, size, begin, end, diagonals, sums)
 
 
 @numba.njit
@@ -84,10 +91,11 @@ def test_sums_of_paths_inside_the_right_image(directions: int, begin: int, end: 
     assert least == sums.min()
 
 
-def test_no_paths_from_above_or_below() -> None:
-    left, right = np.arange(64, dtype=np.uint8), np.full(64, 200, np.uint8)
-    none, sums = np.zeros((0, 2, 1, 64), np.uint8), np.zeros((2, 32), np.uint16)
-    assert _add(left, right, none, none, 0, 0, 64, sums) == 200
+def test_no_paths_from_below() -> None:
+    left, right = np.arange(64, dtype=np.uint8), np.full(64, 150, np.uint8)
+    down, none = np.full((1, 2, 1, 64), 50, np.uint8), np.zeros((0, 2, 1, 64), np.uint8)
+    sums = np.zeros((2, 32), np.uint16)
+    assert _add(left, right, down, none, 0, 0, 64, sums) == 200
     np.testing.assert_array_equal(sums, split(np.arange(200, 264)))
 
 

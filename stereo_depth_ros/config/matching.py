@@ -35,7 +35,7 @@ class SearchConfig(Checked):
     )
     disp12_max_diff: int = parameter(
         0,
-        "Tolerance of the left-right check; with 0, sgbm, sgm and spacetime use 1 px, the others do not check.",
+        "Tolerance of the left-right check; with 0, sgm uses 2 px, sgbm and spacetime 1 px, the others do not check.",
         low=0,
         high=128,
         unit="px",

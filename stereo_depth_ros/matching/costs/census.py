@@ -28,11 +28,15 @@ from stereo_depth_ros.core.vectors import (
 )
 
 __all__ = [
+    "CAP",
     "CENSUS_BITS",
     "CENSUS_PLANES",
     "CENSUS_WINDOW",
+    "GRAY",
+    "LARGEST_CAP",
     "LARGEST_COST",
     "MARGIN",
+    "PLANES",
     "census_rows",
     "empty_census",
     "hamming_row",
@@ -162,11 +166,15 @@ def hamming_row(census: U8, y: int, max_disparity: int, count: int, weak: bool, 
     disparities inside, and paths would propagate that bias over images without texture. Elements from ``count`` on are
     ``LARGEST_COST``.
 
+    Where the left image has hardly any texture, a quarter of the gray difference is added, up to a cap: a slow gradient
+    says more than the order of noisy gray levels. Elsewhere it would only see other exposures and reflections.
+
     Args:
-        census: of the left and the right image of each pair, uint8 (pairs, 2, H, CENSUS_PLANES, W + 2 MARGIN).
+        census: of the left and the right image of each pair, uint8 (pairs, 2, H, PLANES, W + 2 MARGIN).
         y: the row.
         max_disparity: largest disparity, px.
         count: number of disparities; K is :func:`padded_count` of it.
+        weak: whether gray differences are added, of a single pair.
         raw: uint8 (W + 2, K), written from ``raw[1]`` on; the first and last pixel are repeated for a smoothing.
         sums: scratch, uint16 (K,).
     """

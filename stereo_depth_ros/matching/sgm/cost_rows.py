@@ -12,12 +12,12 @@ from numba import float32, uint8, uint16
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8, U16
 from stereo_depth_ros.core.vectors import BYTES, add_saturated, load, mean, store
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS, MARGIN, hamming_row, quarter_half_quarter
+from stereo_depth_ros.matching.costs.census import CENSUS_BITS, LARGEST_CAP, MARGIN, hamming_row, quarter_half_quarter
 from stereo_depth_ros.matching.costs.permeability import GROUP, smooth_along, smooth_down
 
 __all__ = ["COSTS", "LARGEST_SMOOTHED", "RAW_ROWS", "SLOTS", "VIEW", "Costs", "View", "cost_rows", "first_needed"]
 
-LARGEST_SMOOTHED = 2 * (CENSUS_BITS + 5)  # costs are in half bits
+LARGEST_SMOOTHED = 2 * (CENSUS_BITS + LARGEST_CAP // 4)  # costs are in half bits
 RAW_ROWS = 2  # The smoothing along a row waits for the pixel before; that in another row does not.
 SLOTS = 2 * GROUP
 
@@ -74,7 +74,8 @@ def cost_rows(
         starts: whether this is the first group of a strip.
         done: the last row in ``costs.smooth``; before the first group the one before :func:`first_needed`.
         max_disparity, count: see hamming_row.
-        edge_aware: smoothing that follows the image, see permeability.py; otherwise (1 2 1) / 4 along x and y.
+        edge_aware: smoothing that follows the image, see permeability.py, of costs with gray differences where texture
+            is weak; otherwise (1 2 1) / 4 along x and y.
         out: uint8 (GROUP, W, K), written, at most ``LARGEST_SMOOTHED``; 255 from ``count`` on.
 
     Returns:

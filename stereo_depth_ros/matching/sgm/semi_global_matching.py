@@ -77,7 +77,8 @@ class SemiGlobalMatcher(SerialMatcher):
     Costs are Hamming distances of 7 x 5 census codes. ``quality`` says what follows:
 
     - fast: they are smoothed over 3 x 3 pixels, and summed along three directions: from the left, right and above.
-    - default: they are smoothed along the edges of the left image (Cigla and Alatan 2013), see permeability.py.
+    - default: where the left image has hardly any texture, capped gray differences are added. The costs are smoothed
+      along its edges (Cigla and Alatan 2013), see permeability.py.
     - best: as default, with the direction from below. The right image is matched on its own, along three directions,
       and must agree.
 
@@ -91,7 +92,9 @@ class SemiGlobalMatcher(SerialMatcher):
     only, so that the result does not depend on the number of cores.
 
     The margin of a winner over the best sum at least 2 px away is (second - best) / second, and must be at least a
-    third of ``uniqueness_ratio`` percent; it is 0 if the right image has no second candidate. The confidence is this
+    third of ``uniqueness_ratio`` percent, with best a sixth; it is 0 if the right image has no second candidate. With
+    default and best the cost of a winner must also lie below the mean of the costs of its pixel, unless
+    ``uniqueness_ratio`` is 0: noise alone has no such contrast. The confidence is this
     margin times the local consistency, computed on demand. With ``fill_holes`` every pixel has a disparity; filled
     pixels have confidence 0.
 

@@ -184,7 +184,7 @@ def subpixel(before: np.uint16, here: np.uint16, after: np.uint16) -> float:
     height = max(one, other) - middle
     exists = before != NO_SUM and after != NO_SUM and height > 0
     u = np.divide(one - other, 2 * height if exists else 1.0)
-    return u * (1.25 - u * u) if exists else 0.0  # type: ignore[no-any-return]
+    return u * (1.25 - u * u) if exists else 0.0
 
 
 @compiled(allocates=False)
