@@ -32,8 +32,8 @@ from stereo_depth_ros.replay.options import ReplayOptions
 pytestmark = [pytest.mark.graph, pytest.mark.real_data]
 
 PAIRS = 20
-CONFIG = PipelineConfig(matching=MatchingConfig(num_disparities=128))
-PARAMETERS = {"disparity_range": 128, "health_rate": 0.0}
+CONFIG = PipelineConfig(matching=MatchingConfig(num_disparities=128, quality="fast"))
+PARAMETERS = {"disparity_range": 128, "quality": "fast", "health_rate": 0.0}
 SETTLED = 5  # pairs at the end, long after the correction
 
 

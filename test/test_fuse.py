@@ -108,7 +108,7 @@ def test_a_sequence_of_write_kitti(tmp_path: Path, command_line: CommandLine) ->
     assert code == 2 and "has no file of poses of its own" in err and "--poses" in err
     wrong = [row.split() for row in (tmp_path / "poses.txt").read_text().splitlines()]
     for number, row in enumerate(wrong):
-        row[11] = str(float(row[11]) + 0.8 * number)
+        row[11] = str(float(row[11]) + 1.6 * number)
     (folder / "poses.txt").write_text("\n".join(" ".join(row) for row in wrong))
     code, _, err = fuse(folder, "-o", tmp_path / "wrong.ply", *OPTIONS)
     assert code == 0 and "the images do not fit each other" in err

@@ -429,10 +429,11 @@ def test_measurements_in_the_readme_are_those_of_the_benchmarks() -> None:
     rows = {(row[0], row[1]): row for row in cells("docs/benchmarks.md") if len(row) > 1}
     accuracy = {row[0]: row for key, row in rows.items() if "density" not in key and len(row) == 8}
     expected = {
-        "`sgm`, the default": ("`sgm`", "`sgm`, fused"),
-        "`sgm`, `fill_holes`": ("`sgm`, `fill_holes`", None),
-        "`bm`": ("`bm`", "`bm`, fused"),
-        "OpenCV's SGBM (`sgbm`)": ("SGBM, five paths", "`sgbm`, fused"),
+        "`sgm`, the default": ("`sgm`, `default`", "`sgm`, fused"),
+        "`sgm`, `fill_holes`": ("`sgm`, `default`, `fill_holes`", None),
+        "`sgm`, quality `best`": ("`sgm`, `best`", None),
+        "OpenCV's BM; `bm`": ("BM; `bm`", "`bm`, fused"),
+        "OpenCV's SGBM; `sgbm`": ("SGBM, five paths; `sgbm`", "`sgbm`, fused"),
     }
     found = table("matcher")
     assert [row[0] for row in found] == list(expected)

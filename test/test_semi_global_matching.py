@@ -57,7 +57,7 @@ def sums_by_definition(left: U8, right: U8, config: MatchingConfig, paths: int) 
     images = None if config.quality == "fast" else (left, right)
     raw = costs_by_definition(*codes, config.max_disparity, config.num_disparities, images)
     cost = plainly_smoothed(raw) if config.quality == "fast" else permeably_smoothed(raw, left)
-    P1, P2 = (30, 150) if config.quality == "fast" else (12, 150)
+    P1, P2 = {"fast": 20, "default": 9, "best": 12}[config.quality], 150
     P1, P2 = config.sgm_P1 or P1, config.sgm_P2 or P2
     lowered = np.maximum(6 * P2 // (6 + np.arange(256)), P1)
     return cost, sum((path_by_definition(cost, left, P1, lowered, *way) for way in PATHS[paths]), np.zeros_like(cost))
@@ -261,8 +261,9 @@ def test_visible_points_are_found_where_the_range_leaves_the_image(shift: int, q
     assert valid[:, both].mean() > 0.99
     assert valid[:, ~both].sum() < 0.01 * valid.size
     # The right whole disparity wins; costs of noise on either side differ by chance, next to the border the most.
-    wrong = np.abs(result.disparity_px[:, both][valid[:, both]] - shift) > 0.5
-    assert wrong.sum() <= 1  # of 6832, at the border
+    wrong = np.flatnonzero((np.abs(result.disparity_px - shift) > 0.5).any(axis=0))
+    ends = columns[both][[0, -1]]
+    assert len(wrong) <= 2 and (np.abs(wrong[:, None] - ends).min(axis=1) < 3).all()
 
 
 @pytest.mark.parametrize("shift", [2000, -2000])
@@ -377,7 +378,7 @@ def test_images_with_hardly_any_texture_have_hardly_any_disparity(quality: str) 
     ("fields", "message"),
     [
         ({"sgm_P1": 50, "sgm_P2": 50}, r"sgm_P2 = 50 is not above sgm_P1 = 50: raise it"),
-        ({"sgm_P2": 12}, r"sgm_P2 = 12 is not above sgm_P1 = 12: raise it"),
+        ({"sgm_P2": 9}, r"sgm_P2 = 9 is not above sgm_P1 = 9: raise it"),
         ({"sgm_P1": 25, "sgm_P2": 161}, r"sgm_P1 \+ sgm_P2 = 186 is above 185.*lower one"),
         ({"sgm_paths": 6}, r"sgm_paths = 6 .*use 4 or 8"),
         ({"quality": "better"}, r"quality = .better. is not one of fast, default, best"),

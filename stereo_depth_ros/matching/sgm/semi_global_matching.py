@@ -65,8 +65,8 @@ _PLAIN = Quality(
     4, 30, 150, edge_aware=False, own_right=False, uniqueness_share=1 / 3
 )  # of a network and of several pairs
 QUALITIES: Mapping[str, Quality] = {
-    "fast": Quality(3, 30, 150, edge_aware=False, own_right=False, uniqueness_share=1 / 3),
-    "default": Quality(3, 12, 150, edge_aware=True, own_right=False, uniqueness_share=1 / 3),
+    "fast": Quality(3, 20, 150, edge_aware=False, own_right=False, uniqueness_share=1 / 3),
+    "default": Quality(3, 9, 150, edge_aware=True, own_right=False, uniqueness_share=1 / 3),
     "best": Quality(4, 12, 150, edge_aware=True, own_right=True, uniqueness_share=1 / 6),
 }
 
