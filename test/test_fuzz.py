@@ -10,7 +10,7 @@ import pytest
 from fuzz_targets import TARGETS, Target, run_case
 from hypothesis import HealthCheck, given, settings
 
-ROUNDS = 4  # all targets together take half a minute; benchmarks/fuzz.py runs as long as it is told to
+ROUNDS = 4  # all targets together take half a minute; benchmarks/fuzz.py runs for a given time
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)

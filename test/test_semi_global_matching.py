@@ -108,7 +108,7 @@ def winner(sums: I64, seen: np.ndarray, top: int) -> tuple[int, float, np.float3
         before, after = int(sums[k - 1] - sums[k]), int(sums[k + 1] - sums[k])
         if max(before, after) > 0:
             u = (before - after) / (2 * max(before, after))
-            part = u * (1 + (1 - 4 * u**2) / 4)
+            part = u * (1.45 - 1.8 * u * u)
     return k, top - round((k + part) * 64) / 64, margin
 
 

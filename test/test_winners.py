@@ -142,7 +142,7 @@ def test_second_is_at_least_two_away(count: int) -> None:
     ],
 )
 def test_subpixel_is_the_intersection_corrected_for_pixel_locking(sums: tuple[int, int, int], u: float) -> None:
-    expected = u * (1 + (1 - 4 * u**2) / 4)
+    expected = u * (1 + 0.45 * (1 - 4 * u**2))
     assert _subpixel(*np.array(sums, np.uint16)) == pytest.approx(expected, abs=1e-12)
 
 

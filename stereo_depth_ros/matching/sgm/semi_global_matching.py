@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,11 +61,10 @@ class Quality(NamedTuple):
     uniqueness_share: float  # of uniqueness_ratio: sums over paths differ less than the window sums it is defined for
 
 
-_PLAIN = Quality(
-    4, 30, 150, edge_aware=False, own_right=False, uniqueness_share=1 / 3
-)  # of a network and of several pairs
+_PLAIN: dict[str, Any] = {"edge_aware": False, "own_right": False, "uniqueness_share": 1 / 3}
+_OF_A_NETWORK, _OF_SEVERAL_PAIRS = Quality(4, 30, 150, **_PLAIN), Quality(4, 12, 150, **_PLAIN)
 QUALITIES: Mapping[str, Quality] = {
-    "fast": Quality(3, 20, 150, edge_aware=False, own_right=False, uniqueness_share=1 / 3),
+    "fast": Quality(3, 20, 150, **_PLAIN),
     "default": Quality(3, 9, 150, edge_aware=True, own_right=False, uniqueness_share=1 / 3),
     "best": Quality(4, 12, 150, edge_aware=True, own_right=True, uniqueness_share=1 / 6),
 }
@@ -269,8 +268,9 @@ def _check_single(config: MatchingConfig) -> None:
 
 def _effective(config: MatchingConfig) -> Quality:
     """The quality, with the parameters that are not left to it."""
-    plain = config.sgm_cost == "onnx" or config.temporal_window > 1
-    quality = _PLAIN if plain else QUALITIES[config.quality]
+    quality = _OF_SEVERAL_PAIRS if config.temporal_window > 1 else QUALITIES[config.quality]
+    if config.sgm_cost == "onnx":
+        quality = _OF_A_NETWORK
     P1, P2 = config.sgm_P1 or quality.P1, config.sgm_P2 or quality.P2
     total, largest = P1 + P2, LARGEST_PATH_COST - LARGEST_SMOOTHED
     if P2 <= P1:
