@@ -8,6 +8,7 @@ import ast
 import functools
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,18 +17,33 @@ import pytest
 from command_line import CommandLine, Run
 
 from stereo_depth_ros.cli import main as cli
+from stereo_depth_ros.core import kernels
 
 # Compiles the kernels for all processes, half of them beside the first test of the graph, which waits for them.
 KERNELS = "test_cli_compile_kernels.py"
 # Long and without kernels: they run meanwhile.
 FIRST = (KERNELS, "test_lint.py", "test_stereo_calibration.py", "test_collected.py", "test_boards.py")
 LOWERED = pytest.StashKey[bool]()
+CALLED = pytest.StashKey[list[str]]()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The tests of the graph first: with several processes they take longest."""
     order = {name: number for number, name in enumerate(FIRST)}
     items.sort(key=lambda item: (item.get_closest_marker("graph") is None, order.get(item.path.name, len(order))))
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Which kernels were called by modules of tests: every process then compiles before its first test."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("stereo_depth_ros.")]
+    found = {value for module in modules for value in vars(module).values() if isinstance(value, kernels.Kernel)}
+    session.config.stash[CALLED] = sorted(kernel.name for kernel in found - set(kernels._pending))
+
+
+@pytest.fixture(scope="session")
+def called_by_collection(pytestconfig: pytest.Config) -> list[str]:
+    """Names of the kernels that were called while the tests were collected."""
+    return pytestconfig.stash[CALLED]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz_targets import FILES, READERS
+from fuzz_targets import FILES, READERS, SENSOR_YAML
 
 from stereo_depth_ros.core.errors import BagError, StereoDepthError
 from stereo_depth_ros.datasets import npz
 from stereo_depth_ros.datasets.image_files import read_disparity_image, read_image
 from stereo_depth_ros.datasets.npz import read_npz
 
-SENSOR = FILES["euroc"]()["mav0/cam0/sensor.yaml"].decode()
+SENSOR = SENSOR_YAML.format(0.0)
 
 
 def write(kind: str, folder: Path) -> None:

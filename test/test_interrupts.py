@@ -30,6 +30,18 @@ with handled_signals(lambda *_: None, 0.1, functools.partial(os.write, 1, b"ende
     libc.pthread_mutex_lock(mutex)
 """
 
+# A clean-up that hangs in C with the interpreter lock held, as PyDLL does not release it: no thread of Python runs.
+HANGING = """
+import ctypes, signal, sys
+from rclpy.node import Node
+from stereo_depth_ros.nodes import runner
+from stereo_depth_ros.nodes.depth_node import DepthNode
+runner._SHUTDOWN_TIMEOUT_S = 0.2
+Node.destroy_node = lambda self: ctypes.PyDLL(None).sleep(60)
+runner.announce_ready = lambda node: print("ready", flush=True)
+sys.exit(runner.run(DepthNode))
+"""
+
 # The first import of the program waits for ever.
 IMPORTED = """
 import importlib.abc, sys, threading
@@ -47,7 +59,7 @@ def ended_by(number: int, code: str) -> tuple[int, str, str]:
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     with subprocess.Popen(
         [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": path},
+        env={**os.environ, "PYTHONPATH": path, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -64,6 +76,35 @@ def ended_by(number: int, code: str) -> tuple[int, str, str]:
 @BOTH
 def test_a_process_ends_while_its_main_thread_is_in_a_kernel(number: int) -> None:
     assert ended_by(number, IN_A_KERNEL) == (7, "ended", "")
+
+
+@pytest.mark.graph
+@BOTH
+def test_a_node_whose_clean_up_hangs_ends_with_0_and_says_where(number: int) -> None:
+    code, _, err = ended_by(number, HANGING)
+    assert code == 0, err
+    assert "Timeout (0:00:00.2" in err and "in _run" in err
+
+
+@pytest.mark.parametrize("exit_code", [0, 9])
+def test_a_block_that_hangs_ends_the_process_with_the_exit_code(exit_code: int) -> None:
+    code = (
+        "import ctypes\nfrom stereo_depth_ros.core.interrupts import ended_within\n"
+        f"with ended_within(0.1, {exit_code}):\n    ctypes.PyDLL(None).sleep(60)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=50)
+    assert done.returncode == exit_code, done.stderr
+    assert "line 4 in <module>" in done.stderr
+
+
+def test_a_block_that_does_not_hang_leaves_no_timer() -> None:
+    """The process goes on for longer than the block had."""
+    code = (
+        "import time\nfrom stereo_depth_ros.core import interrupts\ninterrupts._TRACEBACK_S = 0.0\n"
+        "with interrupts.ended_within(0.1, 9):\n    pass\ntime.sleep(0.3)\nprint('end')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=50)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "end\n", "")
 
 
 @BOTH

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import cv2
@@ -17,27 +18,35 @@ from stereo_depth_ros.active.light_stripe.two_cameras import combined_depth, ste
 from stereo_depth_ros.config import LightStripeConfig
 from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.triangulation import Triangulation
-from stereo_depth_ros.core.types import F64, Frame, StereoPair
+from stereo_depth_ros.core.types import F64, U8, Frame, StereoPair
 from stereo_depth_ros.synthetic.light_stripe import PLANE, SyntheticStripe
 
 EXACT = LightPlane.exact(PLANE[:3], float(PLANE[3]))
-SCANNER = SyntheticStripe(320, 240, sigma_m=0.0045)
-IMAGES = SCANNER.capture()
+
+
+@functools.cache
+def scanner() -> SyntheticStripe:
+    return SyntheticStripe(320, 240, sigma_m=0.0045)
+
+
+@functools.cache
+def images() -> tuple[U8, U8]:
+    return scanner().capture()
 
 
 def scanned(plane: LightPlane | None, **settings: Any) -> ScannedProfile:
     config = LightStripeConfig(stripe_channel="green", **settings)
-    pair = StereoPair(*(Frame(image, 5, side, "rgb8") for side, image in zip(("left", "right"), IMAGES, strict=True)))
-    return StereoStripeScanner(SCANNER.rig, config, plane=plane).scan(pair)
+    pair = StereoPair(*(Frame(image, 5, side, "rgb8") for side, image in zip(("left", "right"), images(), strict=True)))
+    return StereoStripeScanner(scanner().rig, config, plane=plane).scan(pair)
 
 
 def depth_errors(profile: ScannedProfile) -> F64:
     """Of the points on the board, off its borders: depth in the raw left frame against the truth at that pixel."""
-    left = SCANNER.rig.left
+    left = scanner().rig.left
     lines = profile.found.lines
     raw = profile.found.points_m @ left.R  # R^T X
     pixels = cv2.projectPoints(raw, np.zeros(3), np.zeros(3), left.K, left.D)[0][:, 0]
-    error = raw[:, 2] - SCANNER.depth_m(pixels)
+    error = raw[:, 2] - scanner().depth_m(pixels)
     return np.asarray(error[(lines > 50) & (lines < 85)])
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
-import faulthandler
 import functools
 import inspect
 import os
@@ -18,7 +17,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 
 from stereo_depth_ros.core.errors import StereoDepthError
-from stereo_depth_ros.core.interrupts import handled_signals
+from stereo_depth_ros.core.interrupts import ended_within, handled_signals
 from stereo_depth_ros.core.kernels import compile_kernels
 from stereo_depth_ros.core.overlap import BESIDE_WORK
 from stereo_depth_ros.nodes.base import StereoNode, log_compilation
@@ -92,11 +91,9 @@ def _run(node_type: type[StereoNode], interrupts: list[int]) -> int:
             raise
         # A signal between two calls: the context is shut down.
     finally:
-        # Fast DDS 2.14 can hang while it deletes a participant, with the interpreter lock held: then the process ends,
-        # with exit code 1 and the traceback, from a thread that needs no lock.
-        faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT_S, exit=True)
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-        faulthandler.cancel_dump_traceback_later()
+        # Fast DDS 2.14 can hang while it deletes a participant, with the interpreter lock held.
+        with ended_within(_SHUTDOWN_TIMEOUT_S, exit_code=0 if interrupts else 1):
+            if node is not None:
+                node.destroy_node()
+            rclpy.try_shutdown()
     return 0
