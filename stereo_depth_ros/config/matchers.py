@@ -63,8 +63,8 @@ _LINES = (
         "sgm.semi_global_matching:SemiGlobalMatcher",
         "The default: semi-global matching of census costs (Hirschmueller 2008), 4 or 8 paths, sub-pixel.",
         (
-            *(*_SEARCH, *_CHECKS, "sgm_cost", "sgm_paths", "sgm_P1", "sgm_P2", "disparity_filter", "fill_holes"),
-            *(*_TEMPORAL, *_NETWORK),
+            *(*_SEARCH, *_CHECKS, "sgm_cost", "sgm_paths", "sgm_P1", "sgm_P2", "disparity_filter"),
+            *("fill_gaps_px", "fill_holes", *_TEMPORAL, *_NETWORK),
         ),
         "three times the percentage by which the lowest summed cost must lie below the lowest one at least 2 px away",
         takes_prior=True,
