@@ -130,11 +130,11 @@ def _trace_rays(first: int, last: int, disparity_px: F32, left: U8, steps: U16, 
                     number, total = 0, 0
                     if 0 <= j < height and 0 <= i < width:
                         known = not np.isnan(disparity_px[j, i])
-                        before = 0 if known else int(steps[scan, j, i, n])
+                        before = 0 if known else int(np.int64(steps[scan, j, i, n]))
                         if known or before > 0:
                             number = before + 1
-                            total = abs(int(left[y, x]) - int(left[j, i]))
-                            total += 0 if known else int(differences[scan, j, i, n])
+                            total = int(abs(np.int64(left[y, x]) - np.int64(left[j, i])))
+                            total += 0 if known else int(np.int64(differences[scan, j, i, n]))
                     steps[scan, y, x, n] = min(number, LARGEST)
                     differences[scan, y, x, n] = min(total, LARGEST)
 
