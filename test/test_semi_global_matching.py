@@ -21,7 +21,8 @@ from stereo_depth_ros.core.types import F32, U8, MatchResult, Reason
 from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene
 from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
-from stereo_depth_ros.matching.filters.hole_filling import fill_holes
+from stereo_depth_ros.matching.filters.gap_filling import fill_gaps
+from stereo_depth_ros.matching.filters.plane_filling import PlaneFilling
 from stereo_depth_ros.matching.local_consistency import local_consistency
 from stereo_depth_ros.matching.sgm import semi_global_matching
 from stereo_depth_ros.matching.sgm.semi_global_matching import SemiGlobalMatcher
@@ -338,9 +339,21 @@ def test_dense_mode_fills_every_pixel(kind: str) -> None:
     assert (dense.reasons == 0).all() and not (sparse.reasons == 0).all()
     holes = sparse.reasons != 0
     DisparityFilter(kind, 1 / 64)(sparse.disparity_px)
-    fill_holes(sparse.disparity_px, sparse.reasons)
+    PlaneFilling(1 / 64)(sparse.disparity_px, sparse.reasons, left)
     np.testing.assert_array_equal(dense.disparity_px, sparse.disparity_px)
     assert dense.confidence is not None and (dense.confidence[holes] == 0).all() and dense.confidence.mean() > 0.1
+
+
+def test_short_gaps_have_a_confidence() -> None:
+    left, right = patches(60, 110, 0, 28)
+    sparse = matcher(num_disparities=32).match(left, right)
+    result = matcher(num_disparities=32, fill_gaps_px=4).match(left, right)
+    gaps = (sparse.reasons != 0) & (result.reasons == 0)
+    assert gaps.sum() > 20
+    fill_gaps(sparse.disparity_px, sparse.reasons, np.zeros(left.shape, np.float32), 4, 1 / 64)
+    np.testing.assert_array_equal(result.disparity_px, sparse.disparity_px)
+    np.testing.assert_array_equal(result.reasons, sparse.reasons)
+    assert result.confidence is not None and (result.confidence[gaps] > 0).mean() > 0.9
 
 
 @pytest.mark.parametrize("kind", ["mean", "median"])

@@ -57,7 +57,9 @@ class SearchConfig(Checked):
         15, "Side length of the square matching window.", low=1, high=255, step=2, unit="px"
     )
     fill_holes: bool = parameter(
-        False, "Fill invalid pixels with the smaller of the nearest disparities to the left and right, the background."
+        False,
+        "Fill invalid pixels with the planes of the surrounding surfaces: across no edges of the image, and with the "
+        "background where the right camera sees nothing.",
     )
 
 
@@ -129,6 +131,14 @@ class SgmConfig(Checked):
         "mean",
         "Disparity filter: mean of the 5 x 5 neighbors that differ by at most 1 px, or 3 x 3 median.",
         choices=("none", "mean", "median"),
+    )
+    fill_gaps_px: int = parameter(
+        0,
+        "Longest gap of a row that is filled linearly, if the disparities at its ends differ by at most 1 px; 0 fills "
+        "none.",
+        low=0,
+        high=64,
+        unit="px",
     )
 
 

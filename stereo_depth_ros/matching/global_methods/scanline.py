@@ -10,7 +10,7 @@ from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import U8, MatchResult
 from stereo_depth_ros.matching.costs.birchfield_tomasi import COST_STEPS
-from stereo_depth_ros.matching.filters.hole_filling import fill_holes
+from stereo_depth_ros.matching.filters.plane_filling import PlaneFilling
 from stereo_depth_ros.matching.global_methods.energy import I32, StereoModel
 from stereo_depth_ros.matching.global_methods.global_matcher import NO_LABEL, GlobalMatcher
 
@@ -47,7 +47,7 @@ class ScanlineMatcher(GlobalMatcher):
     def _match(self, left: U8, right: U8) -> MatchResult:
         result = super()._match(left, right)
         if self.config.fill_holes:
-            fill_holes(result.disparity_px, result.reasons)
+            PlaneFilling(result.step_px)(result.disparity_px, result.reasons, left)
         return result
 
     def _label(self, model: StereoModel) -> I32:

@@ -21,7 +21,8 @@ from stereo_depth_ros.matching.costs.features import UNRELATED_COST, feature_cos
 from stereo_depth_ros.matching.costs.permeability import GROUP, permeabilities, permeability_rows
 from stereo_depth_ros.matching.costs.prior import prior_costs
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
-from stereo_depth_ros.matching.filters.hole_filling import fill_holes
+from stereo_depth_ros.matching.filters.gap_filling import fill_gaps
+from stereo_depth_ros.matching.filters.plane_filling import PlaneFilling
 from stereo_depth_ros.matching.filters.speckle_filter import I16, SpeckleFilter
 from stereo_depth_ros.matching.local_consistency import local_consistency
 from stereo_depth_ros.matching.networks.features import FeatureNetwork
@@ -93,9 +94,11 @@ class SemiGlobalMatcher(SerialMatcher):
     The margin of a winner over the best sum at least 2 px away is (second - best) / second, and must be at least a
     third of ``uniqueness_ratio`` percent, with best a sixth; it is 0 if the right image has no second candidate. With
     default and best the cost of a winner must also lie below the mean of the costs of its pixel, unless
-    ``uniqueness_ratio`` is 0: noise alone has no such contrast. The confidence is this
-    margin times the local consistency, computed on demand. With ``fill_holes`` every pixel has a disparity; filled
-    pixels have confidence 0.
+    ``uniqueness_ratio`` is 0: noise alone has no such contrast. The confidence is this margin times the local
+    consistency, computed on demand.
+
+    ``fill_gaps_px`` fills short gaps of rows, with the lesser margin of both ends. With ``fill_holes`` every pixel has
+    a disparity; pixels that it fills have confidence 0.
 
     With ``temporal_window`` T above 1 the cost of a disparity is the mean of its Hamming distances in the last T pairs:
     the scene is static and its light changes, as in :mod:`stereo_depth_ros.matching.spacetime.matcher`. P2 then
@@ -124,6 +127,7 @@ class SemiGlobalMatcher(SerialMatcher):
         super().__init__(config)
         self._speckle_filter = SpeckleFilter(config.speckle_size, config.speckle_range * SPECKLE_STEPS_PER_PX)
         self._disparity_filter = DisparityFilter(config.disparity_filter, self.step_px)
+        self._plane_filling = PlaneFilling(self.step_px)
         lowered = effective.P2 * EDGE_GRAY_LEVELS / (EDGE_GRAY_LEVELS + np.arange(256))
         self._search = Search(
             max_disparity=config.max_disparity,
@@ -170,8 +174,9 @@ class SemiGlobalMatcher(SerialMatcher):
         self._speckle_filter(self._coarse, reasons)
         run_bands(_reject_rows, len(left), reasons, disparity_px, margin)
         self._disparity_filter(disparity_px)
+        fill_gaps(disparity_px, reasons, margin, self.config.fill_gaps_px, self.step_px)
         if self.config.fill_holes:
-            fill_holes(disparity_px, reasons)
+            self._plane_filling(disparity_px, reasons, left)
         return MatchResult(
             disparity_px, reasons, self.step_px, functools.partial(local_consistency, disparity_px, margin)
         )
