@@ -7,10 +7,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from stereo_depth_ros.core.bit_depth import BitDepth
-from stereo_depth_ros.core.types import U8, U16, Frame
+from stereo_depth_ros.core.types import F32, U8, U16, Frame
 from stereo_depth_ros.messages.camera_info import rectified_camera_info
 from stereo_depth_ros.messages.depth import depth_message
 from stereo_depth_ros.messages.disparity import match_message
@@ -22,7 +23,7 @@ from stereo_depth_ros.messages.types import MessageTypes
 from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.point_cloud import CloudLayout
 
-__all__ = ["LIVE_OUTPUTS", "OUTPUTS", "Output", "ResultMessages"]
+__all__ = ["LIVE_OUTPUTS", "MORE_OUTPUTS", "OUTPUTS", "Output", "ResultMessages"]
 
 
 class ResultMessages:
@@ -65,6 +66,23 @@ class ResultMessages:
         encoding = result.config.depth.depth_encoding
         return depth_message(self._types, self._pool, result.depth_m, encoding, result.stamp_ns, result.frame_id)
 
+    def confidence(self, result: StereoResult) -> Any:
+        """Confidence of the disparities, 32FC1, 0..1; 0 where invalid."""
+        return self._image("confidence", _confidence(result), "32FC1", result.pair.left)
+
+    def confidence_mono8(self, result: StereoResult) -> Any:
+        """The same in gray: 255 is 1."""
+        gray = np.rint(np.float32(255) * _confidence(result)).astype(np.uint8)
+        return self._image("gray confidence", gray, "mono8", result.pair.left)
+
+    def disparity_error(self, result: StereoResult) -> Any:
+        """Standard deviation of the disparities, 32FC1, px, NaN where invalid."""
+        return self._image("disparity error", result.sigma_px, "32FC1", result.pair.left)
+
+    def depth_error(self, result: StereoResult) -> Any:
+        """Standard deviation of the depth, 32FC1, meters, NaN where invalid."""
+        return self._image("depth error", result.sigma_m, "32FC1", result.pair.left)
+
     def depth_camera_info(self, result: StereoResult) -> Any:
         """The camera info of the depth image: no distortion, no rotation."""
         return rectified_camera_info(self._types, result.rig.left, result.stamp_ns, result.frame_id)
@@ -103,6 +121,12 @@ class ResultMessages:
         return image_message(self._types, pixels, encoding, source.stamp_ns, source.frame_id, payload)
 
 
+def _confidence(result: StereoResult) -> F32:
+    """That of the matcher; without one, 1 where valid."""
+    found = result.disparity.confidence
+    return (result.disparity.reasons == 0).astype(np.float32) if found is None else found
+
+
 class Output(NamedTuple):
     """One output of the pipeline.
 
@@ -129,8 +153,13 @@ OUTPUTS = (
     Output("right/image_rect", "sensor_msgs/msg/Image", ResultMessages.right_rectified),
 )
 
-# Of the fused node; those that are not in OUTPUTS are not recorded, so that bags do not grow.
-LIVE_OUTPUTS = (
-    *OUTPUTS,
+# Not recorded unless asked for, so that bags do not grow.
+MORE_OUTPUTS = (
     Output("right/image_rect_color", "sensor_msgs/msg/Image", ResultMessages.right_rectified_color),
+    Output("confidence", "sensor_msgs/msg/Image", ResultMessages.confidence),
+    Output("confidence_mono8", "sensor_msgs/msg/Image", ResultMessages.confidence_mono8),
+    Output("error_disparity", "sensor_msgs/msg/Image", ResultMessages.disparity_error),
+    Output("error_depth", "sensor_msgs/msg/Image", ResultMessages.depth_error),
 )
+
+LIVE_OUTPUTS = (*OUTPUTS, *MORE_OUTPUTS)  # of the fused node

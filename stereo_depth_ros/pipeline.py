@@ -20,6 +20,7 @@ from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.rig import Rig, StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
 from stereo_depth_ros.core.types import F32, U8, MatchResult, RectifiedPair, StereoPair
+from stereo_depth_ros.matching.disparity_sigma import DEFAULT_SIGMA_PX, sigma_of
 from stereo_depth_ros.matching.protocol import Images
 from stereo_depth_ros.stages.depth import depth_from_disparity, depth_sigma
 from stereo_depth_ros.stages.disparity import DisparityStage
@@ -209,14 +210,29 @@ class StereoResult:
         return depth_m
 
     @cached_property
-    def sigma_m(self) -> F32:
-        """Standard deviation of the depth, float32 (H, W), meters, NaN where invalid.
+    def sigma_px(self) -> F32:
+        """Standard deviation of each disparity, float32 (H, W), px, NaN where invalid.
 
-        From that of each disparity where the method estimates it, else from the parameter disparity_sigma_px.
+        That of the method, or the parameter disparity_sigma_px, or by the confidence, see
+        :func:`~stereo_depth_ros.matching.disparity_sigma.sigma_of`.
+        """
+        return sigma_of(self.disparity, self.config.matching, self.config.depth.disparity_sigma_px)
+
+    @cached_property
+    def sigma_m(self) -> F32:
+        """Standard deviation of the depth, float32 (H, W), meters, NaN where invalid, of that of each disparity."""
+        return depth_sigma(self.depth_m, self.triangulation, self.sigma_px)
+
+    @property
+    def noise_m(self) -> F32:
+        """The noise of the depth, float32 (H, W), meters, NaN where invalid: its standard deviation for right matches.
+
+        That of the method, or the parameter disparity_sigma_px, or 0.25 px; unlike ``sigma_m`` it does not rise where
+        the match may be wrong.
         """
         estimated = self.disparity.sigma_px
-        sigma_px = self.config.depth.disparity_sigma_px if estimated is None else estimated
-        return depth_sigma(self.depth_m, self.triangulation, sigma_px)
+        noise_px = self.config.depth.disparity_sigma_px or DEFAULT_SIGMA_PX if estimated is None else estimated
+        return depth_sigma(self.depth_m, self.triangulation, noise_px)
 
     def points(self) -> F32:
         """Points in the left rectified optical frame, float32 (H, W, 3), meters, NaN where invalid."""

@@ -41,6 +41,10 @@ OUTPUTS = {
     "depth/image_rect": Image,
     "depth/camera_info": CameraInfo,
     "points2": PointCloud2,
+    "confidence": Image,
+    "confidence_mono8": Image,
+    "error_disparity": Image,
+    "error_depth": Image,
 }
 COMPARED = ("points2", "disparity", "depth/image_rect")
 

@@ -10,9 +10,11 @@ from typing import Annotated
 import typer
 
 from stereo_depth_ros.config.matchers import MATCHERS
+from stereo_depth_ros.config.more_topics import MORE_TOPICS
 from stereo_depth_ros.config.view_topics import VIEW_TOPICS
 
 __all__ = [
+    "Also",
     "Bag",
     "BagOutput",
     "Duration",
@@ -105,6 +107,15 @@ Strict = Annotated[
     bool,
     typer.Option(
         "--strict", help="Keep nothing, and end with an error, where the first pairs do not fit the calibration."
+    ),
+]
+Also = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--also",
+        metavar="TOPIC",
+        help=f"Write this output too; the option may be repeated: {', '.join(MORE_TOPICS)}.",
+        autocompletion=lambda: [*MORE_TOPICS],
     ),
 ]
 Views = Annotated[

@@ -14,6 +14,7 @@ from stereo_depth_ros.cli.export import SurfaceExport
 from stereo_depth_ros.cli.given import PIPELINE, check_takes_prior, given_parameters
 from stereo_depth_ros.cli.kernels import prepare_kernels
 from stereo_depth_ros.cli.options import (
+    Also,
     Bag,
     BagOutput,
     Duration,
@@ -38,6 +39,7 @@ from stereo_depth_ros.cli.params_file import read_parameters
 from stereo_depth_ros.cli.run_report import finish_run
 from stereo_depth_ros.config import ViewConfig
 from stereo_depth_ros.config.matchers import MATCHERS
+from stereo_depth_ros.config.more_topics import check_more_topics
 from stereo_depth_ros.config.values import pipeline_config, stage_config
 from stereo_depth_ros.config.view_topics import check_views
 from stereo_depth_ros.core.errors import ConfigError
@@ -65,6 +67,7 @@ def process(
     side_by_side: SideBySide = False,
     strict: Strict = False,
     view: Views = None,
+    also: Also = None,
     export: Export = None,
     json_file: Json = None,
     overwrite: Overwrite = False,
@@ -84,13 +87,16 @@ def process(
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
       stereo-depth process drive.mcap -o depth.mcap --camera-info left.yaml right.yaml
       stereo-depth process drive.mcap -o depth.mcap --view anaglyph --view disparity_color
+      stereo-depth process drive.mcap -o depth.mcap --also confidence --also error_depth
       stereo-depth process drive.mcap -o depth.mcap --prior /velodyne_points
       stereo-depth process drive.mcap -o depth.mcap --export 'meshes/{stamp}.glb'
     """
     file = read_parameters(params_file)
     views = check_views(view or ())
     stages = (*PIPELINE, "view") if views else PIPELINE
-    names = () if export is None else ("disparity_sigma_px",)  # which meshes and clouds depend on
+    more = check_more_topics(also or ())
+    depends = export is not None or any(topic.startswith("error_") for topic in more)
+    names = ("disparity_sigma_px",) if depends else ()
     given = given_parameters(
         param or (), matcher, file=file, stages=stages, names=names, remedies={"view": "add --view"}
     )
@@ -122,5 +128,6 @@ def process(
             strict=strict,
             each=surfaces.add,
             prior=sensor,
+            also=more,
         )
     finish_run(result, json_file, overwrite, surfaces=surfaces)

@@ -35,6 +35,7 @@ from stereo_depth_ros.geometry.depth_range import (
 )
 from stereo_depth_ros.geometry.field_of_view import field_of_view
 from stereo_depth_ros.matching import matcher_from_config
+from stereo_depth_ros.matching.disparity_sigma import DEFAULT_SIGMA_PX
 from stereo_depth_ros.plots.depth_error import depth_error_plot
 from stereo_depth_ros.plots.drawing import save_png
 
@@ -84,8 +85,8 @@ def rig(
     right.yaml is read from the same folder. From a bag, the first camera infos are read.
 
     The disparity range is the recommended one, unless min_disparity or disparity_range is set. The depth error is
-    sigma_Z = Z^2 / (f B) sigma_d with sigma_d = disparity_sigma_px; the depth step is that of the matcher's
-    disparities. The results for other baselines assume that nothing else changes.
+    sigma_Z = Z^2 / (f B) sigma_d with sigma_d = disparity_sigma_px, 0.25 px if it is 0; the depth step is that of the
+    matcher's disparities. The results for other baselines assume that nothing else changes.
 
     \b
     Examples:
@@ -105,7 +106,7 @@ def rig(
     rig = read_rig(paths, left, right, parse_size(size))
     config = pipeline_config(values)
     step_px = matcher_from_config(config.matching).step_px
-    precision = Precision(step_px, config.depth.disparity_sigma_px, max_error / 100)
+    precision = Precision(step_px, config.depth.disparity_sigma_px or DEFAULT_SIGMA_PX, max_error / 100)
     nearest_m = default_nearest_m(rig) if nearest is None else nearest
     recommended = recommended_search(rig, nearest_m)
     given = bool({"min_disparity", "disparity_range"} & values.keys())

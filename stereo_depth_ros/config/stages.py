@@ -123,8 +123,9 @@ class DepthConfig(Checked):
         choices=("32FC1", "16UC1"),
     )
     disparity_sigma_px: float = parameter(
-        0.25,
-        "Standard deviation of a disparity, for the depth uncertainty sigma_Z = Z^2 / (f B) sigma_d.",
+        0.0,
+        "Standard deviation of a disparity, for the depth uncertainty sigma_Z = Z^2 / (f B) sigma_d; 0 takes that of "
+        "each pixel by its confidence, or 0.25 px where the matcher has no table of it.",
         low=0.0,
         high=16.0,
         unit="px",

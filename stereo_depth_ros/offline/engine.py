@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,7 +27,7 @@ from stereo_depth_ros.evaluation.bag_score import score_disparity
 from stereo_depth_ros.offline.examined_pipelines import ExaminedPipelines
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
-from stereo_depth_ros.outputs import OUTPUTS, ResultMessages
+from stereo_depth_ros.outputs import MORE_OUTPUTS, OUTPUTS, ResultMessages
 from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.views.result_frames import ResultFrames
 from stereo_depth_ros.views.topics import ViewMessages
@@ -46,6 +46,7 @@ def process_bag(
     strict: bool = False,
     each: Callable[[StereoResult], None] = lambda result: None,
     prior: SensorTopic | None = None,
+    also: Sequence[str] = (),
 ) -> RunReport:
     """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
 
@@ -62,6 +63,7 @@ def process_bag(
         each: called with every result, after its outputs are written.
         prior: range sensor of the bag whose points the matcher takes as a prior. Pairs without a sweep in time are
             matched without; the warnings say how many.
+        also: topics of ``MORE_OUTPUTS`` that are written too.
 
     Raises:
         BagError, TopicError: no readable stereo bag, stamps that are not set, or no pair that can be processed.
@@ -73,7 +75,7 @@ def process_bag(
     check_bag_output(output, bag_files(selection.path), overwrite=overwrite)
     refused: dict[str, str] = {}
     stages_ms: dict[str, list[float]] = defaultdict(list)
-    engine = _Engine(config, views, each)
+    engine = _Engine(config, views, each, also)
     selection, choice = open_selection(selection, config.pairing)
     with BagPairs(selection, config.pairing) as pairs, BagReader(selection.path) as reader:
         sweeps = None if prior is None else ProjectedSweeps(reader, prior, pairs.rectified_info)
@@ -136,9 +138,14 @@ class _Engine:
     """
 
     def __init__(
-        self, config: PipelineConfig, views: Mapping[str, ViewConfig], each: Callable[[StereoResult], None]
+        self,
+        config: PipelineConfig,
+        views: Mapping[str, ViewConfig],
+        each: Callable[[StereoResult], None],
+        also: Sequence[str],
     ) -> None:
         self._types = RosbagsTypes()
+        self._rows = (*OUTPUTS, *(row for row in MORE_OUTPUTS if row.topic in also))
         self._each = each
         self._views = views
         self._frames, self._view_messages = ResultFrames(), ViewMessages(self._types)
@@ -180,7 +187,7 @@ class _Engine:
         self._pipelines.finish()
 
     def _outputs(self, result: StereoResult) -> Iterator[tuple[str, Any]]:
-        for topic, _, build in OUTPUTS:
+        for topic, _, build in self._rows:
             start = time.perf_counter()
             message = build(self._messages, result)
             result.timings_ms[f"make {topic}"] = 1e3 * (time.perf_counter() - start)

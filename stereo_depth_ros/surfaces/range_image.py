@@ -64,7 +64,7 @@ class RangeImage:
         color = result.rectified.left_color
         if result.rectified.color_encoding == "bgr8":
             color = color[:, :, ::-1]
-        return cls(result.depth_m, result.sigma_m, result.triangulation, color)
+        return cls(result.depth_m, result.noise_m, result.triangulation, color)
 
     @property
     def size(self) -> tuple[int, int]:
