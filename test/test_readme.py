@@ -496,14 +496,15 @@ def live_topics(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Top
 
 def named_topics(cell: str) -> set[str]:
     """The topics named in a cell of the table of nodes."""
+    cell, _, added = cell.partition("; also ")
     topics = set(spans(cell))
     if "both `camera_info`" in cell:
         topics = topics - {"camera_info"} | {"left/camera_info", "right/camera_info"}
     if cell.startswith("all of the above except"):
         rows = table("node")
-        above = rows[: next(index for index, row in enumerate(rows) if row[2] == cell)]
+        above = rows[: next(index for index, row in enumerate(rows) if row[2].startswith(cell))]
         topics = set().union(*(named_topics(row[2]) for row in above)) - topics
-    return topics
+    return topics | set(spans(added))
 
 
 @pytest.mark.graph
