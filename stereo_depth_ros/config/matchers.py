@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 __all__ = ["MATCHERS", "MatcherInfo", "matcher_number", "matchers_with"]
 
-_SEARCH = ("min_disparity", "disparity_range")
+_SEARCH = ("min_disparity", "disparity_range", "min_confidence", "max_depth_error", "max_relative_depth_error")
 _CHECKS = ("uniqueness_ratio", "disp12_max_diff", "speckle_size", "speckle_range")
 _WINDOW = "correlation_window_size"
 _CORRELATION = (*_SEARCH, *_CHECKS, _WINDOW, "window_cost", "max_difference", "vertical_search")

@@ -53,6 +53,17 @@ class SearchConfig(Checked):
         low=0,
         high=31,
     )
+    min_confidence: float = parameter(0.0, "Least confidence of a disparity; 0 accepts all.", low=0.0, high=1.0)
+    max_depth_error: float = parameter(
+        0.0, "Largest standard deviation of the depth of a pixel; 0 accepts any.", low=0.0, high=1000.0, unit="m"
+    )
+    max_relative_depth_error: float = parameter(
+        0.0,
+        "Largest standard deviation of the depth of a pixel, in percent of its depth; 0 accepts any.",
+        low=0.0,
+        high=100.0,
+        unit="%",
+    )
     correlation_window_size: int = parameter(
         15, "Side length of the square matching window.", low=1, high=255, step=2, unit="px"
     )

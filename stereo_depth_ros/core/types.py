@@ -70,10 +70,10 @@ class Reason(enum.IntFlag):
     VALID = 0
     NO_MATCH = 1  # rejected by the matcher for another reason
     LEFT_RIGHT = 2  # left-right check: the right image prefers another left pixel
-    UNIQUENESS = 4  # another disparity has a similar cost
+    UNIQUENESS = 4  # another disparity has a similar cost, or the confidence is below its limit
     TEXTURE = 8  # not enough texture in the window
     SPECKLE = 16  # small isolated component
-    RANGE = 32  # not in front of the cameras: no positive finite depth
+    RANGE = 32  # not in front of the cameras, or so far that the error of the depth is above its limit
     BORDER = 64  # the search range or the window leaves the image
     SHADOW = 128  # the projector does not light it
 

@@ -19,6 +19,7 @@ from stereo_depth_ros.matching import Matcher, matcher_from_config
 from stereo_depth_ros.matching.protocol import Images
 from stereo_depth_ros.stages.camera_swap import CameraSwapDetector
 from stereo_depth_ros.stages.depth import reject_behind
+from stereo_depth_ros.stages.limits import Limits
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["LARGEST_AT_ONCE", "DisparityStage"]
@@ -52,6 +53,7 @@ class DisparityStage:
         self._free_matchers.put(matcher)
         self._memory: PairMemory[Images] = PairMemory(matcher.pair_count, config.temporal_gap_ns)
         self._doffs_px = rig.doffs_px
+        self._limits = Limits(config, rig)
         self._swap_detector = CameraSwapDetector(rig.doffs_px) if rig.metric else None
         seen = rectifier.seen(matcher.support_px)
         self._seen = None if all(side.all() for side in seen) else seen
@@ -79,8 +81,9 @@ class DisparityStage:
     ) -> MatchResult:
         """Disparities of a rectified pair, NaN with a reason if invalid.
 
-        Rejected are pixels not in front of the cameras (RANGE), and those where the support of the matcher leaves the
-        valid pixels of the left or right image (BORDER). They have confidence 0, see :class:`MatchResult`.
+        Rejected are pixels not in front of the cameras (RANGE), those where the support of the matcher leaves the
+        valid pixels of the left or right image (BORDER), and those beyond the :class:`Limits`. They have confidence 0,
+        see :class:`MatchResult`.
 
         Args:
             left, right: uint8 (H, W).
@@ -103,7 +106,7 @@ class DisparityStage:
         reject_behind(result.disparity_px, result.reasons, self._doffs_px)
         if self._seen is not None:
             run_bands(_reject_unseen, len(left), result.disparity_px, result.reasons, *self._seen)
-        return result
+        return self._limits(result)
 
 
 _BORDER = np.uint8(Reason.BORDER)
