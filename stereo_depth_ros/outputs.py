@@ -22,6 +22,7 @@ from stereo_depth_ros.messages.point_cloud import cloud_message
 from stereo_depth_ros.messages.types import MessageTypes
 from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.point_cloud import CloudLayout
+from stereo_depth_ros.stages.reason_colors import reason_colors
 
 __all__ = ["LIVE_OUTPUTS", "MORE_OUTPUTS", "OUTPUTS", "Output", "ResultMessages"]
 
@@ -74,6 +75,11 @@ class ResultMessages:
         """The same in gray: 255 is 1."""
         gray = np.rint(np.float32(255) * _confidence(result)).astype(np.uint8)
         return self._image("gray confidence", gray, "mono8", result.pair.left)
+
+    def reasons_color(self, result: StereoResult) -> Any:
+        """The left image with the pixels that have no disparity in the color of their reason, bgr8."""
+        colors = reason_colors(result.disparity.reasons, result.rectified.left)
+        return self._image("reasons", colors, "bgr8", result.pair.left)
 
     def disparity_error(self, result: StereoResult) -> Any:
         """Standard deviation of the disparities, 32FC1, px, NaN where invalid."""
@@ -158,6 +164,7 @@ MORE_OUTPUTS = (
     Output("right/image_rect_color", "sensor_msgs/msg/Image", ResultMessages.right_rectified_color),
     Output("confidence", "sensor_msgs/msg/Image", ResultMessages.confidence),
     Output("confidence_mono8", "sensor_msgs/msg/Image", ResultMessages.confidence_mono8),
+    Output("reasons_color", "sensor_msgs/msg/Image", ResultMessages.reasons_color),
     Output("error_disparity", "sensor_msgs/msg/Image", ResultMessages.disparity_error),
     Output("error_depth", "sensor_msgs/msg/Image", ResultMessages.depth_error),
 )

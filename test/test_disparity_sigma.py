@@ -24,6 +24,7 @@ from stereo_depth_ros.matching.disparity_sigma import CONFIDENCES, SIGMAS_PX, di
 from stereo_depth_ros.offline.engine import process_bag
 from stereo_depth_ros.outputs import MORE_OUTPUTS
 from stereo_depth_ros.pipeline import StereoPipeline, StereoResult
+from stereo_depth_ros.stages.reason_colors import reason_colors
 from stereo_depth_ros.synthetic.sequence import SyntheticSequence
 
 SMALL = (320, 240)
@@ -107,6 +108,7 @@ def test_confidence_and_errors_are_recorded_where_asked_for(tmp_path: Path) -> N
     expected: dict[str, tuple[str, F32 | np.ndarray]] = {
         "confidence": ("32FC1", confidence),
         "confidence_mono8": ("mono8", np.rint(255 * confidence).astype(np.uint8)),
+        "reasons_color": ("bgr8", reason_colors(result.disparity.reasons, result.rectified.left)),
         "error_disparity": ("32FC1", result.sigma_px),
         "error_depth": ("32FC1", result.sigma_m),
     }
@@ -117,7 +119,7 @@ def test_confidence_and_errors_are_recorded_where_asked_for(tmp_path: Path) -> N
             assert len(messages) == 2
             image = messages[0]
             assert (image.encoding, image.header.frame_id) == (encoding, result.frame_id)
-            found = image.data.view(pixels.dtype).reshape(image.height, image.width)
+            found = image.data.view(pixels.dtype).reshape(image.height, image.width, *pixels.shape[2:])
             np.testing.assert_array_equal(found, pixels)
 
 

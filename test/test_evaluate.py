@@ -78,7 +78,7 @@ def test_scenes_times_methods_as_table_json_csv_and_plots(
     assert [float(line["bad_2_all"]) for line in lines] == [row["bad_2_all"] for row in rows]
     assert 0 < float(lines[0]["auc_bad_1_ratio"]) < 1 and "curve" not in lines[0]
     assert sorted(path.name for path in plots.iterdir()) == sorted(
-        f"{s}_{m}{kind}.png" for s in ("one", "two") for m in ("bm", "sgbm") for kind in ("", "_confidence")
+        f"{s}_{m}{kind}.png" for s in ("one", "two") for m in ("bm", "sgbm") for kind in ("", "_confidence", "_reasons")
     )
     assert cv2.imread(str(plots / "one_bm.png")).shape[1] > 1000
 
@@ -113,7 +113,9 @@ def test_confidence_is_measured_and_plotted(run: Run, tmp_path: Path, monkeypatc
     assert row["auc_bad_1"] == pytest.approx(row["auc_bad_1_oracle"]) and row["auc_bad_1_ratio"] < 0.3
     assert len(row["curve"]["bad_1"]) == len(row["curve"]["coverage"]) == 20
     assert f"{row['auc_bad_1_ratio']:.2f}" in out
-    assert {path.name for path in (tmp_path / "p").iterdir()} == {"one_bm.png", "one_bm_confidence.png"}
+    assert {path.name for path in (tmp_path / "p").iterdir()} == {
+        f"one_bm{kind}.png" for kind in ("", "_confidence", "_reasons")
+    }
 
 
 def test_bags_and_folders_together_and_equal_names_are_numbered(run: Run, tmp_path: Path) -> None:

@@ -260,7 +260,7 @@ def test_the_log_names_inputs_qos_matcher_and_what_the_node_waits_for() -> None:
             "/left/image_raw (reliable, depth 7); /right/image_raw (reliable as its publishers, depth 7)",
             "ready; matcher bm; waiting for a subscriber of /d, /depth/image_rect, /depth/camera_info, /points2, "
             "/left/image_rect, /left/image_rect_color, /right/image_rect, /right/image_rect_color, /confidence, "
-            "/confidence_mono8, /error_disparity, /error_depth",
+            "/confidence_mono8, /reasons_color, /error_disparity, /error_depth",
         ]
         assert features.readiness()[1] == "ready; matcher features; waiting for a subscriber of /features/points2"
 

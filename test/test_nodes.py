@@ -43,6 +43,7 @@ OUTPUTS = {
     "points2": PointCloud2,
     "confidence": Image,
     "confidence_mono8": Image,
+    "reasons_color": Image,
     "error_disparity": Image,
     "error_depth": Image,
 }

@@ -41,6 +41,7 @@ from stereo_depth_ros.matching import create_matcher
 from stereo_depth_ros.plots.curve import curve_plot
 from stereo_depth_ros.plots.drawing import save_png
 from stereo_depth_ros.plots.error import error_plot
+from stereo_depth_ros.plots.reasons import reason_plot
 
 __all__ = ["app"]
 
@@ -77,7 +78,8 @@ def evaluate(
     json_file: Json = None,
     csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the results as CSV.")] = None,
     plots: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Plot truth, disparities, errors and confidence of each scene.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Plot truth, disparities, errors, reasons and confidence of scenes."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -220,10 +222,10 @@ def _plot_files(folder: Path, sets: Iterable[SceneSet], matchers: list[str]) -> 
                 yield from _plot_names(folder, different, matcher)
 
 
-def _plot_names(folder: Path, scene: str, matcher: str) -> tuple[Path, Path]:
-    """The plot of the errors and that of the confidence."""
+def _plot_names(folder: Path, scene: str, matcher: str) -> tuple[Path, Path, Path]:
+    """The plots of the errors, of the confidence against them, and of the reasons."""
     name = f"{scene.replace('/', '_')}_{matcher}"
-    return folder / f"{name}.png", folder / f"{name}_confidence.png"
+    return folder / f"{name}.png", folder / f"{name}_confidence.png", folder / f"{name}_reasons.png"
 
 
 def _run(
@@ -274,7 +276,7 @@ def _different(name: str, seen: Counter[str]) -> str:
 
 
 def _plot(folder: Path, overwrite: bool, scene: Scene, evaluation: Evaluation) -> None:
-    errors_file, confidence_file = _plot_names(folder, evaluation.scene, evaluation.matcher)
+    errors_file, confidence_file, reasons_file = _plot_names(folder, evaluation.scene, evaluation.matcher)
     title = f"{evaluation.scene}: {evaluation.matcher}"
     errors = evaluation.errors
     caption = (
@@ -283,6 +285,8 @@ def _plot(folder: Path, overwrite: bool, scene: Scene, evaluation: Evaluation) -
     )
     errors_image = error_plot(scene.left, scene.truth_px, evaluation.result.disparity_px, title, caption)
     save_png(errors_file, errors_image, overwrite=overwrite)
+    found = evaluation.result
+    save_png(reasons_file, reason_plot(scene.left, found.reasons, found.confidence, title), overwrite=overwrite)
     if evaluation.confidence is not None:
         curve = evaluation.confidence.bad_1
         area = f"area {curve.area:.2f}, random {curve.random_area:.2f}, best {curve.oracle_area:.2f}"

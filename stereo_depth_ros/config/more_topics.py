@@ -10,7 +10,14 @@ from stereo_depth_ros.core.errors import ConfigError
 
 __all__ = ["MORE_TOPICS", "check_more_topics"]
 
-MORE_TOPICS = ("right/image_rect_color", "confidence", "confidence_mono8", "error_disparity", "error_depth")
+MORE_TOPICS = (
+    "right/image_rect_color",
+    "confidence",
+    "confidence_mono8",
+    "reasons_color",
+    "error_disparity",
+    "error_depth",
+)
 
 
 def check_more_topics(topics: Sequence[str]) -> tuple[str, ...]:
