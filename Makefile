@@ -25,6 +25,8 @@ demo: $(VENV)/demo ## play the sample bag through the live graph; prints a table
 # Three processes on two cores: the one of the graph mostly waits. The hundreds that they start load bytecode, also where
 # the environment says to write none.
 test: export PYTHONDONTWRITEBYTECODE :=
+# Threads of OpenBLAS wait actively, which on small matrices costs twice the time of all cores.
+test: export OPENBLAS_NUM_THREADS ?= 1
 test: $(VENV)/test ## run every test; those of the graph one after the other, the others beside them
 	$(BIN)/python -m pytest -n 3 $(PYTEST_ARGS)
 
