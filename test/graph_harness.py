@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ros_domain import own_number
 
 rclpy = pytest.importorskip("rclpy", reason="graph tests need ROS 2")
 
@@ -41,7 +42,7 @@ NS_PER_S = 10**9
 TIMEOUT_S = 15.0
 ROOT = Path(__file__).resolve().parents[1]
 # A separate domain: no interference with other nodes on this machine.
-ENVIRONMENT = {"ROS_DOMAIN_ID": str(70 + os.getpid() % 20), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+ENVIRONMENT = {"ROS_DOMAIN_ID": str(70 + own_number(20)), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def ros_arguments(

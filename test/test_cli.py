@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from command_line import CommandLine, Run
+from ros_domain import own_number
 from stereo_bags import PARAMETERS, messages_of, write_odd_bag, write_truth_bag
 
 from stereo_depth_ros.bags.reader import BagReader
@@ -204,7 +204,7 @@ def test_help_of_every_command_has_an_example(run: Run, command: str) -> None:
 def test_demo_plays_the_sample_bag_and_names_bag_and_image(
     run: Run, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + 5 * (os.getpid() % 10) + 4))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + 5 * own_number(10) + 4))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setattr("stereo_depth_ros.cli.demo._sample_bag", lambda: bag)
     code, out, err = run("demo", "--output-dir", tmp_path / "out")

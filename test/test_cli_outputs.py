@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from command_line import CommandLine, Run
 from evaluation_scenes import write_scene
+from ros_domain import own_number
 from stereo_bags import PARAMETERS, messages_of, sequence, write_truth_bag
 
 from stereo_depth_ros.calibration.calibration_files import write_camera
@@ -278,7 +279,7 @@ def test_a_failed_process_keeps_the_earlier_result(run: Run, bag: Path, tmp_path
 def test_a_failed_replay_keeps_the_earlier_result(
     run: Run, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + 5 * (os.getpid() % 10) + 4))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + 5 * own_number(10) + 4))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     output = tmp_path / "good.mcap"
     output.write_text("good")

@@ -22,6 +22,7 @@ import pytest
 import typer
 from command_line import CommandLine, Run
 from documents import BLOCKS, DOCUMENTS, ROOT, Block, Call, make_inputs, output_after, read, setup_value
+from ros_domain import own_number
 from scanned import write_manifest
 from stereo_bags import messages_of
 from stripe_scans import exact_plane, scanner
@@ -98,7 +99,7 @@ def shell_blocks(graph: bool) -> list[Any]:
 @pytest.fixture
 def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ROS domain of these tests, on this machine only."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 10))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + own_number(10)))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 

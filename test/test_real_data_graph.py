@@ -20,6 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from ros_domain import own_number
 from stereo_bags import messages_of
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
@@ -116,7 +117,7 @@ def play(bag: Path, shape: str, parameters: dict[str, Any], output: Path) -> Pla
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     environment = {
         "PYTHONPATH": path,
-        "ROS_DOMAIN_ID": str(10 + os.getpid() % 10),
+        "ROS_DOMAIN_ID": str(10 + own_number(10)),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     done = subprocess.run(

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ros_domain import own_number
 from stereo_bags import (
     PARAMETERS,
     cut,
@@ -46,7 +46,7 @@ OUTPUTS = (*SAME_BYTES, "/depth/camera_info")
 
 def domain(number: int) -> str:
     """A ROS_DOMAIN_ID that no other run of these tests on this machine is likely to have."""
-    return str(20 + 5 * (os.getpid() % 10) + number)
+    return str(20 + 5 * own_number(10) + number)
 
 
 @pytest.fixture(scope="module", autouse=True)
