@@ -50,15 +50,18 @@ def test_points_project_onto_their_pixels(result: StereoResult) -> None:
 
 def test_sigma_grows_with_the_square_of_depth(result: StereoResult) -> None:
     rig, valid = SEQUENCE.rig, np.isfinite(result.depth_m)
-    expected = result.depth_m**2 / (rig.f_px * rig.baseline_m) * 0.25
-    np.testing.assert_allclose(result.sigma_m[valid], expected[valid], rtol=1e-5)
+    scale = result.depth_m**2 / (rig.f_px * rig.baseline_m)
+    np.testing.assert_allclose(result.sigma_m[valid], (scale * result.sigma_px)[valid], rtol=1e-5)
+    np.testing.assert_allclose(result.noise_m[valid], (scale * 0.25)[valid], rtol=1e-5)
+    assert np.ptp(result.sigma_px[valid]) > 0.1  # by the confidence
 
 
 def test_sigma_is_that_of_the_disparities_where_the_method_estimates_it(result: StereoResult) -> None:
     sigma_px = np.linspace(0.05, 0.4, result.depth_m.size, dtype=np.float32).reshape(result.depth_m.shape)
     estimated = dataclasses.replace(result, disparity=dataclasses.replace(result.disparity, sigma_px=sigma_px))
     valid = np.isfinite(result.depth_m)
-    np.testing.assert_allclose(estimated.sigma_m[valid], (result.sigma_m * sigma_px / 0.25)[valid], rtol=1e-5)
+    np.testing.assert_allclose(estimated.sigma_m[valid], (result.noise_m * sigma_px / 0.25)[valid], rtol=1e-5)
+    np.testing.assert_array_equal(estimated.noise_m, estimated.sigma_m)
 
 
 def test_invalid_pixels_have_reasons_and_valid_ones_none(result: StereoResult) -> None:
