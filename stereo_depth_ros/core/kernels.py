@@ -101,8 +101,9 @@ def compiled(*signatures: Any, allocates: bool = True, inlined: bool = True) -> 
     Args:
         signatures: numba signatures.
         allocates: False for functions that create no arrays: views of arrays are then not reference counted, which
-            saves atomic operations, so that a view per pixel costs nothing. Such helpers are always inlined; for the
-            others LLVM decides.
+            saves atomic operations, so that a view per pixel costs nothing.
+        inlined: of helpers that allocate nothing, whether they always are; for the others LLVM decides. False where a
+            call costs nothing beside the work in it: the code is there once, and compiles faster.
     """
 
     def decorate(function: FunctionT) -> FunctionT:

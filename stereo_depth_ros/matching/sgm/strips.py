@@ -51,9 +51,8 @@ class Search(NamedTuple):
 
     ``uniqueness`` is the minimum margin over the second best, ``tolerance`` that of the left-right check in px; P2 is
     indexed by the gray difference of neighbors; vertical paths start ``approach_rows``, a multiple of ``_ROWS``,
-    before the strip;
-    ``edge_aware`` see cost_rows.py. ``indices_only`` finds the winners and nothing else of them; otherwise
-    ``own_right`` leaves the left-right check to who has matched the right image on its own.
+    before the strip. ``edge_aware`` see cost_rows.py. ``indices_only`` finds the winners and nothing else of them;
+    otherwise ``own_right`` leaves the left-right check to who has matched the right image on its own.
     """
 
     max_disparity: int
