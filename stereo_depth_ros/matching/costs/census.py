@@ -127,18 +127,22 @@ def census_rows(first: int, last: int, image: U8, codes: U8) -> None:
 
 
 @compiled(allocates=False)
-def _hamming(left: U8, x: int, right: U8, first: int, weak: bool, out: U8) -> None:
-    """Distances of left pixel x to the right pixels from column ``first`` on, of the codes of a row."""
-    for k in range(0, out.size, BYTES):
+def _hamming(left: U8, x: int, right: U8, first: int, weak: bool, out: U8, out_at: int, size: int) -> None:
+    """Distances of left pixel x to ``size`` right pixels from column ``first`` on, of the codes of a row.
+
+    They are written to ``out`` from its element ``out_at`` on, counted over all dimensions.
+    """
+    pitch = right.shape[1]
+    for k in range(0, size, BYTES):
         at = MARGIN + first + k
-        distance = ones(xor(load(right[0], at), repeat(left[0, MARGIN + x])))
+        distance = ones(xor(load(right, at), repeat(left[0, MARGIN + x])))
         for plane in range(1, CENSUS_PLANES):
-            distance = add(distance, ones(xor(load(right[plane], at), repeat(left[plane, MARGIN + x]))))
+            distance = add(distance, ones(xor(load(right, at + plane * pitch), repeat(left[plane, MARGIN + x]))))
         if weak:
-            gray, own = load(right[GRAY], at), repeat(left[GRAY, MARGIN + x])
+            gray, own = load(right, at + GRAY * pitch), repeat(left[GRAY, MARGIN + x])
             difference = union(subtract_saturated(gray, own), subtract_saturated(own, gray))
             distance = add(distance, quarter(minimum(difference, repeat(left[CAP, MARGIN + x]))))
-        store(out, k, distance)
+        store(out, out_at + k, distance)
 
 
 @compiled(allocates=False, inlined=False)
@@ -147,12 +151,34 @@ def _mean_hamming(census: U8, y: int, x: int, first: int, sums: U16, out: U8) ->
     pairs = len(census)
     sums[:] = 0
     for n in range(pairs):
-        _hamming(census[n, 0, y], x, census[n, 1, y], first, False, out)
+        _hamming(census[n, 0, y], x, census[n, 1, y], first, False, out, 0, out.size)
         for k in range(out.size):
             sums[k] = np.uint16(sums[k] + np.uint16(out[k]))
     share = np.uint32(((1 << 16) + pairs // 2) // pairs)
     for k in range(out.size):
         out[k] = np.uint8(np.uint32(np.uint32(sums[k]) * share + _HALF) >> _SHARE_BITS)
+
+
+@compiled(allocates=False, inlined=False)
+def _hamming_pixel(census: U8, y: int, x: int, max_disparity: int, count: int, weak: bool, here: U8, sums: U16) -> None:
+    """The costs of pixel (x, y), of which some right pixels may be outside the image; see :func:`hamming_row`."""
+    width, size = census.shape[4] - 2 * MARGIN, here.size
+    at = x - max_disparity  # right column of index 0
+    begin, end = min(max(-at, 0), count), max(min(width - at, count), 0)
+    if begin < end:
+        first, last = begin // BYTES * BYTES, (end + BYTES - 1) // BYTES * BYTES
+        if len(census) == 1:
+            _hamming(census[0, 0, y], x, census[0, 1, y], at + first, weak, here, first, last - first)
+        else:
+            _mean_hamming(census, y, x, at + first, sums[first:last], here[first:last])
+        if begin > 0:
+            here[:begin] = min(here[begin], NEUTRAL_COST)
+        if end < size:
+            here[end:count] = min(here[end - 1], NEUTRAL_COST)
+            here[count:] = LARGEST_COST
+    else:
+        here[:count] = NEUTRAL_COST
+        here[count:] = LARGEST_COST
 
 
 @compiled(allocates=False, inlined=False)
@@ -179,24 +205,18 @@ def hamming_row(census: U8, y: int, max_disparity: int, count: int, weak: bool, 
         sums: scratch, uint16 (K,).
     """
     width, size = census.shape[4] - 2 * MARGIN, raw.shape[1]
-    for x in range(width):
-        at = x - max_disparity  # right column of index 0
-        begin, end = min(max(-at, 0), count), max(min(width - at, count), 0)
-        here = raw[x + 1]
-        if begin < end:
-            first, last = begin // BYTES * BYTES, (end + BYTES - 1) // BYTES * BYTES
-            if len(census) == 1:
-                _hamming(census[0, 0, y], x, census[0, 1, y], at + first, weak, here[first:last])
-            else:
-                _mean_hamming(census, y, x, at + first, sums[first:last], here[first:last])
-            if begin > 0:
-                here[:begin] = min(here[begin], NEUTRAL_COST)
-            if end < size:
-                here[end:count] = min(here[end - 1], NEUTRAL_COST)
-                here[count:] = LARGEST_COST
-        else:
-            here[:count] = NEUTRAL_COST
-            here[count:] = LARGEST_COST
+    inside, beyond = max(max_disparity, 0), min(width - count + max_disparity + 1, width)  # all right pixels exist
+    if len(census) > 1 or inside >= beyond:
+        inside = beyond = width
+    for x in range(inside):
+        _hamming_pixel(census, y, x, max_disparity, count, weak, raw[x + 1], sums)
+    left, right = census[0, 0, y], census[0, 1, y]
+    for x in range(inside, beyond):  # without a view or a branch for each pixel, which took longer than the distances
+        _hamming(left, x, right, x - max_disparity, weak, raw, (x + 1) * size, size)
+        if count < size:
+            raw[x + 1, count:] = LARGEST_COST
+    for x in range(beyond, width):
+        _hamming_pixel(census, y, x, max_disparity, count, weak, raw[x + 1], sums)
     for k in range(size):
         raw[0, k] = raw[1, k]
         raw[width + 1, k] = raw[width, k]
@@ -204,6 +224,6 @@ def hamming_row(census: U8, y: int, max_disparity: int, count: int, weak: bool, 
 
 @compiled(allocates=False)
 def quarter_half_quarter(before: U8, here: U8, after: U8, out: U8) -> None:
-    """(before + 2 here + after) / 4 of the costs (K,) of three pixels, as two means that are rounded up."""
+    """(before + 2 here + after) / 4 of the costs (W, K) of three rows, as two means that are rounded up."""
     for k in range(0, out.size, BYTES):
         store(out, k, mean(mean(load(before, k), load(after, k)), load(here, k)))

@@ -108,33 +108,38 @@ def smooth_along(
         forward, backward: scratch, uint16 (rows, W, K) and (rows, K).
         smooth: uint8 (2 GROUP, W, K), row y is written to y % (2 GROUP), ``ALONG_GAIN`` times the cost.
     """
-    width, start = along.shape[1], first % (2 * GROUP)
+    width, size, start = along.shape[1], smooth.shape[2], first % (2 * GROUP)
     fine = repeat(_FINE)
     forward[:, 0] = 0
     backward[:] = 0
+    # Elements are counted over all dimensions: a view for each pixel would take as long as its sums.
     for x in range(width):
         for y in range(first, last):
             i = y - first
-            share, sums, before = repeat(along[y, x]), forward[i, x], forward[i, max(x - 1, 0)]
-            for k in range(0, sums.size, BYTES):
-                cost = load(raw[i, x + 1], k)
+            share = repeat(along[y, x])
+            at, cost_at = (i * width + x) * size, (i * (width + 2) + x + 1) * size
+            before_at = at - size if x > 0 else at
+            for k in range(0, size, BYTES):
+                cost = load(raw, cost_at + k)
                 even, odd = multiply(even_words(cost), fine), multiply(odd_words(cost), fine)
-                store(sums, k, add(even, multiply_high(load(before, k), share)))
-                store(sums, k + WORDS, add(odd, multiply_high(load(before, k + WORDS), share)))
+                store(forward, at + k, add(even, multiply_high(load(forward, before_at + k), share)))
+                store(forward, at + k + WORDS, add(odd, multiply_high(load(forward, before_at + k + WORDS), share)))
     for j in range(width):
         x = width - 1 - j
         for y in range(first, last):
             i = y - first
             slot = (start + i) & (2 * GROUP - 1)
-            share = repeat(along[y, x + 1] if j > 0 else np.uint16(0))
-            scale, sums, beyond, out = repeat(scales[y, x]), forward[i, x], backward[i], smooth[slot, x]
-            for k in range(0, sums.size, BYTES):
-                cost = load(raw[i, x + 1], k)
-                even, odd = multiply_high(load(beyond, k), share), multiply_high(load(beyond, k + WORDS), share)
-                all_even, all_odd = add(load(sums, k), even), add(load(sums, k + WORDS), odd)
-                store(out, k, join_words(multiply_high(all_even, scale), multiply_high(all_odd, scale)))
-                store(beyond, k, add(multiply(even_words(cost), fine), even))
-                store(beyond, k + WORDS, add(multiply(odd_words(cost), fine), odd))
+            share, scale = repeat(along[y, x + 1] if j > 0 else np.uint16(0)), repeat(scales[y, x])
+            at, cost_at = (i * width + x) * size, (i * (width + 2) + x + 1) * size
+            beyond_at, out_at = i * size, (slot * width + x) * size
+            for k in range(0, size, BYTES):
+                cost = load(raw, cost_at + k)
+                even = multiply_high(load(backward, beyond_at + k), share)
+                odd = multiply_high(load(backward, beyond_at + k + WORDS), share)
+                all_even, all_odd = add(load(forward, at + k), even), add(load(forward, at + k + WORDS), odd)
+                store(smooth, out_at + k, join_words(multiply_high(all_even, scale), multiply_high(all_odd, scale)))
+                store(backward, beyond_at + k, add(multiply(even_words(cost), fine), even))
+                store(backward, beyond_at + k + WORDS, add(multiply(odd_words(cost), fine), odd))
 
 
 @compiled(allocates=False, inlined=False)
@@ -166,7 +171,7 @@ def smooth_down(
             share.
         cost: uint8 (GROUP, W, K), written: twice the costs, at most 64.
     """
-    width, middle = down.shape[1], first % (2 * GROUP)
+    width, size, middle = down.shape[1], unused.size, first % (2 * GROUP)
     if starts:
         weights[0] = 0
         above[:] = 0
@@ -174,27 +179,28 @@ def smooth_down(
     fine = repeat(_FINE)
     nothing = repeat(np.uint16(0))
     for x in range(width):
-        for k in range(0, unused.size, BYTES):
+        for k in range(0, size, BYTES):
             even, odd = nothing, nothing
             for i in range(2 * GROUP - 1, -1, -1):
                 if i < GROUP:
-                    store(below[i], 0, even)
-                    store(below[i], WORDS, odd)
+                    store(below, i * BYTES, even)
+                    store(below, i * BYTES + WORDS, odd)
                 share = repeat(down[first + i, x])
-                here = load(smooth[(middle + i) & (2 * GROUP - 1), x], k)
+                here = load(smooth, (((middle + i) & (2 * GROUP - 1)) * width + x) * size + k)
                 even = multiply_high(add(multiply(even_words(here), fine), even), share)
                 odd = multiply_high(add(multiply(odd_words(here), fine), odd), share)
-            even, odd = load(above[x], k), load(above[x], k + WORDS)
+            above_at = x * size + k
+            even, odd = load(above, above_at), load(above, above_at + WORDS)
             for i in range(GROUP):
                 share, scale = repeat(down[first + i, x]), repeat(scales[i, x])
-                here = load(smooth[middle + i, x], k)
+                here = load(smooth, ((middle + i) * width + x) * size + k)
                 even = add(multiply(even_words(here), fine), multiply_high(even, share))
                 odd = add(multiply(odd_words(here), fine), multiply_high(odd, share))
-                all_even = multiply_high(add(even, load(below[i], 0)), scale)
-                all_odd = multiply_high(add(odd, load(below[i], WORDS)), scale)
-                store(cost[i, x], k, union(join_words(all_even, all_odd), load(unused, k)))
-            store(above[x], k, even)
-            store(above[x], k + WORDS, odd)
+                all_even = multiply_high(add(even, load(below, i * BYTES)), scale)
+                all_odd = multiply_high(add(odd, load(below, i * BYTES + WORDS)), scale)
+                store(cost, (i * width + x) * size + k, union(join_words(all_even, all_odd), load(unused, k)))
+            store(above, above_at, even)
+            store(above, above_at + WORDS, odd)
 
 
 @compiled(allocates=False, inlined=False)

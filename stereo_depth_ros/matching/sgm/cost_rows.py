@@ -12,7 +12,7 @@ from numba import float32, uint8, uint16
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.types import F32, U8, U16
 from stereo_depth_ros.core.vectors import BYTES, add_saturated, load, mean, store
-from stereo_depth_ros.matching.costs.census import CENSUS_BITS, LARGEST_CAP, MARGIN, hamming_row, quarter_half_quarter
+from stereo_depth_ros.matching.costs.census import CENSUS_BITS, LARGEST_CAP, hamming_row, quarter_half_quarter
 from stereo_depth_ros.matching.costs.permeability import GROUP, smooth_along, smooth_down
 
 __all__ = ["COSTS", "LARGEST_SMOOTHED", "RAW_ROWS", "SLOTS", "VIEW", "Costs", "View", "cost_rows", "first_needed"]
@@ -82,7 +82,7 @@ def cost_rows(
         The last row in ``costs.smooth``.
     """
     c = costs
-    height, width = view.census.shape[2], view.census.shape[4] - 2 * MARGIN
+    height = view.census.shape[2]
     while done < min(first + (2 * GROUP - 1 if edge_aware else GROUP), height - 1):
         begin, end = done + 1, min(done + 1 + RAW_ROWS, height)
         for near in range(begin, end):
@@ -99,18 +99,16 @@ def cost_rows(
         for y in range(first, min(first + GROUP, height)):
             before, here = c.smooth[max(y - 1, 0) % SLOTS], c.smooth[y % SLOTS]
             after, row = c.smooth[min(y + 1, height - 1) % SLOTS], out[y - first]
-            for x in range(width):
-                quarter_half_quarter(before[x], here[x], after[x], row[x])
+            quarter_half_quarter(before, here, after, row)
     return done
 
 
 @compiled(allocates=False)
 def _smooth_plainly(raw: U8, out: U8) -> None:
     """(1 2 1) / 4 along x, in half bits."""
-    for x in range(len(out)):
-        before, here, after = raw[x], raw[x + 1], raw[x + 2]
-        for k in range(0, here.size, BYTES):
-            store(out[x], k, add_saturated(mean(load(before, k), load(after, k)), load(here, k)))
+    size = out.shape[1]
+    for at in range(0, out.size, BYTES):  # over all pixels and disparities
+        store(out, at, add_saturated(mean(load(raw, at), load(raw, at + 2 * size)), load(raw, at + size)))
 
 
 COSTS = numba.types.NamedTuple(
