@@ -114,9 +114,11 @@ def main() -> None:
         print(f"\n{kind}\n\n| scenes not fitted to | within one | within two | within {CONSTANT_PX} px | area |")
         print("| --- | --- | --- | --- | --- |")
         for group, scenes in groups.items():
-            others = [found[name] for name in scenes if name not in TUNED_ON]
-            if others:
-                print(row(group, others, tables[kind]), flush=True)
+            others = {name: found[name] for name in scenes if name not in TUNED_ON}
+            for name, errors in others.items():
+                print(row(name, [errors], tables[kind]), flush=True)
+            if len(others) > 1:
+                print(row(f"mean of these in {group}", [*others.values()], tables[kind]), flush=True)
     if options.write:
         write_tables(tables)
 

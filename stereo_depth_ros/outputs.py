@@ -24,7 +24,7 @@ from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.point_cloud import CloudLayout
 from stereo_depth_ros.stages.reason_colors import reason_colors
 
-__all__ = ["LIVE_OUTPUTS", "MORE_OUTPUTS", "OUTPUTS", "Output", "ResultMessages"]
+__all__ = ["LIVE_OUTPUTS", "MATCH_OUTPUTS", "MORE_OUTPUTS", "OUTPUTS", "Output", "ResultMessages"]
 
 
 class ResultMessages:
@@ -107,6 +107,7 @@ class ResultMessages:
             frame_id=result.frame_id,
             color=color,
             color_encoding=encoding,
+            quality=None if layout.quality_offset is None else (_confidence(result), result.sigma_m),
             payload=self._pool.get(f"cloud {layout}", disparity_px.size * layout.point_step),
         )
 
@@ -168,5 +169,8 @@ MORE_OUTPUTS = (
     Output("error_disparity", "sensor_msgs/msg/Image", ResultMessages.disparity_error),
     Output("error_depth", "sensor_msgs/msg/Image", ResultMessages.depth_error),
 )
+
+# Of them, what follows from the rectified images and their disparities: published by disparity_node too
+MATCH_OUTPUTS = tuple(row for row in MORE_OUTPUTS if row.topic != "right/image_rect_color")
 
 LIVE_OUTPUTS = (*OUTPUTS, *MORE_OUTPUTS)  # of the fused node

@@ -8,10 +8,10 @@ import pytest
 
 from stereo_depth_ros.config import (
     CONFIGS,
-    CloudConfig,
     DepthConfig,
     MatchingConfig,
     PairingConfig,
+    PointConfig,
     parameter_infos,
     replace_checked,
 )
@@ -59,7 +59,7 @@ def test_every_value_of_the_contract_is_accepted() -> None:
 
 
 def test_other_parameters_of_the_contract() -> None:
-    defaults = {i.name: i.default for config in (PairingConfig, CloudConfig) for i in parameter_infos(config)}
+    defaults = {i.name: i.default for config in (PairingConfig, PointConfig) for i in parameter_infos(config)}
     assert defaults == {
         "queue_size": 5,
         "approximate_sync": False,

@@ -45,6 +45,8 @@ def check(found: MatchResult, rejected: np.ndarray, reason: Reason) -> None:
     np.testing.assert_array_equal(found.reasons, np.where(rejected, np.uint8(reason), before.reasons))
     np.testing.assert_array_equal(found.disparity_px, np.where(kept, before.disparity_px, np.nan))
     np.testing.assert_array_equal(found.confidence, np.where(kept, before.confidence, 0))
+    count = np.count_nonzero(rejected)
+    assert found.beyond_limits == ((count, 0) if reason == Reason.UNIQUENESS else (0, count))
 
 
 def test_least_confidence() -> None:

@@ -216,6 +216,7 @@ def with_all_topics(tmp_path: Path) -> dict[str, Any]:
     return {
         **{"auto_correct": True, "patterns": str(tmp_path / "patterns.json"), "pattern_signal": "topic"},
         **{"laser_file": str(tmp_path / "laser.yaml"), "stripe_motion": "pose", "range_sensor": "/points"},
+        "point_quality": True,
     }
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,12 +16,17 @@ from graph_harness import NS_PER_S, Graph, NodeProcess, StereoCamera, colored, i
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
+from stereo_depth_ros.config.values import pipeline_config
+from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.messages.image import compressed_message
 from stereo_depth_ros.nodes.depth_node import DepthNode
 from stereo_depth_ros.nodes.disparity_node import DisparityNode
 from stereo_depth_ros.nodes.point_cloud_node import PointCloudNode
 from stereo_depth_ros.nodes.rectify_node import RectifyNode
 from stereo_depth_ros.nodes.stereo_depth_node import StereoDepthNode
+from stereo_depth_ros.outputs import MATCH_OUTPUTS, ResultMessages
+from stereo_depth_ros.outputs import OUTPUTS as ALL_OUTPUTS
+from stereo_depth_ros.pipeline import StereoPipeline
 from stereo_depth_ros.stages.rectification import Rectifier
 
 pytestmark = pytest.mark.graph
@@ -185,6 +191,36 @@ def test_separate_nodes_give_the_bytes_of_the_fused_node(fused: dict[str, Any], 
     assert received["depth/camera_info"] == fused["depth/camera_info"]
     assert received["depth/image_rect"].data == fused["depth/image_rect"].data
     assert received["points2"].data == fused["points2"].data
+
+
+@pytest.mark.parametrize("node_types", [(StereoDepthNode,), SEPARATE[:3]])
+def test_confidence_and_errors_have_the_bytes_of_the_offline_engine(
+    node_types: tuple[Any, ...], camera: StereoCamera
+) -> None:
+    parameters = PARAMETERS | {"point_quality": True, "use_color": False, "min_confidence": 0.1, "max_depth_error": 0.5}
+    outputs = {"points2": PointCloud2, **{row.topic: Image for row in MATCH_OUTPUTS}}
+    with Graph(*node_types, parameters=parameters) as graph:
+        received = one_pair(graph, camera.pair(STAMP_NS), outputs)
+        reported = graph.nodes[min(1, len(node_types) - 1)].diagnostics  # of the node that matches
+        values = {value.key: value.value for value in reported._message().status[0].values}
+    config = pipeline_config(parameters)
+    raw = camera.frames[0].pair
+    left, right = (dataclasses.replace(frame, stamp_ns=STAMP_NS) for frame in (raw.left, raw.right))
+    result = StereoPipeline(config, camera.rig).process(StereoPair(left, right))
+    messages = ResultMessages(camera.types)
+    for row in (*MATCH_OUTPUTS, *(row for row in ALL_OUTPUTS if row.topic == "points2")):
+        expected = row.build(messages, result)
+        assert bytes(received[row.topic].data) == bytes(expected.data), row.topic
+        assert received[row.topic].header == expected.header
+    assert [field.name for field in received["points2"].fields] == ["x", "y", "z", "confidence", "sigma"]
+    np.testing.assert_array_equal(cloud_values(received["points2"], "sigma"), result.sigma_m)
+    by_confidence, by_error = result.disparity.beyond_limits
+    assert min(by_confidence, by_error) > 100
+    assert values["with a disparity"] == f"{100 * result.disparity.valid_fraction:.2f} %"
+    assert values["no disparity, below min_confidence"] == f"{100 * by_confidence / (WIDTH * HEIGHT):.2f} %"
+    assert values["no disparity, depth error"] == f"{100 * by_error / (WIDTH * HEIGHT):.2f} %"
+    left_right = result.disparity.reason_counts()["LEFT_RIGHT"]
+    assert values["no disparity, LEFT_RIGHT"] == f"{100 * left_right / (WIDTH * HEIGHT):.2f} %"
 
 
 @pytest.mark.parametrize("node_types", [(StereoDepthNode,), (DisparityNode, DepthNode, PointCloudNode)])

@@ -71,6 +71,36 @@ def test_every_layout(
         assert not points[:, :, offset + 3].any()
 
 
+@pytest.mark.parametrize(
+    ("padding", "use_color", "step", "offset", "confidence_at"),
+    [(False, True, 32, 16, 20), (False, False, 32, None, 16), (True, True, 24, 12, 16), (True, False, 20, None, 12)],
+)
+def test_quality_follows_in_every_layout(
+    padding: bool, use_color: bool, step: int, offset: int | None, confidence_at: int, disparity_px: F32, color: U8
+) -> None:
+    config = CloudConfig(avoid_point_cloud_padding=padding, use_color=use_color, point_quality=True)
+    layout = CloudLayout.of(config)
+    assert layout == CloudLayout(step, offset, confidence_at)
+    rng = np.random.default_rng(4)
+    quality = rng.uniform(size=(HEIGHT, WIDTH)).astype(np.float32), rng.uniform(size=(HEIGHT, WIDTH)).astype(np.float32)
+    given = (RosbagsTypes(), disparity_px, Triangulation.from_rig(RIG))
+    header = {"stamp_ns": 6, "frame_id": "left", "color": color, "color_encoding": "rgb8"}
+    message = cloud_message(*given, layout, **header, quality=quality)
+    plain = cloud_message(*given, dataclasses.replace(layout, quality_offset=None), **header)
+    names = ["x", "y", "z", *(["rgb"] if use_color else []), "confidence", "sigma"]
+    offsets = [0, 4, 8, *([offset] if use_color else []), confidence_at, confidence_at + 4]
+    assert [(f.name, f.offset, f.datatype) for f in message.fields] == [
+        (name, at, 7) for name, at in zip(names, offsets, strict=True)
+    ]
+    points, before = (np.frombuffer(m.data, np.uint8).reshape(HEIGHT, WIDTH, step).copy() for m in (message, plain))
+    for values, at in zip(quality, (confidence_at, confidence_at + 4), strict=True):
+        np.testing.assert_array_equal(np.ascontiguousarray(points[:, :, at : at + 4]).view(np.float32)[:, :, 0], values)
+        points[:, :, at : at + 4] = before[:, :, at : at + 4]
+    np.testing.assert_array_equal(points, before)  # nothing else changes
+    with pytest.raises(ImageError, match=r"confidence and standard deviation of None"):
+        cloud_message(*given, layout, **header)
+
+
 @pytest.mark.parametrize(("encoding", "order"), [("bgr8", (0, 1, 2)), ("rgb8", (2, 1, 0)), ("mono8", (0, 0, 0))])
 def test_colors_of_every_encoding(encoding: str, order: tuple[int, ...], disparity_px: F32, color: U8) -> None:
     image = color[:, :, 0] if encoding == "mono8" else color

@@ -14,7 +14,8 @@ from range_messages import cloud, depth_image, laser_scan, xyz_cloud
 
 from stereo_depth_ros.core.camera import CameraModel
 from stereo_depth_ros.core.errors import CalibrationError, MessageError
-from stereo_depth_ros.messages.range_sensor import depth_pixels, range_points
+from stereo_depth_ros.messages.depth import depth_pixels
+from stereo_depth_ros.messages.range_sensor import range_points
 
 RNG = np.random.default_rng(4)
 POINTS = RNG.uniform(-9, 9, (6, 3)).astype(np.float32)

@@ -29,6 +29,7 @@ __all__ = [
     "DepthConfig",
     "PairingConfig",
     "PipelineConfig",
+    "PointConfig",
     "PriorConfig",
     "RectificationConfig",
     "ViewConfig",
@@ -133,13 +134,23 @@ class DepthConfig(Checked):
 
 
 @dataclass(frozen=True)
-class CloudConfig(Checked):
-    """The point cloud."""
+class PointConfig(Checked):
+    """The points of a cloud."""
 
     avoid_point_cloud_padding: bool = parameter(
         False, "Pack points without padding: 16 bytes per point with color, 12 without."
     )
     use_color: bool = parameter(True, "Color the points with the left image.")
+
+
+@dataclass(frozen=True)
+class CloudConfig(PointConfig):
+    """The point cloud of a disparity map."""
+
+    point_quality: bool = parameter(
+        False,
+        "Give each point the fields confidence, 0 to 1, and sigma, the standard deviation of its depth in meters.",
+    )
 
 
 @dataclass(frozen=True)

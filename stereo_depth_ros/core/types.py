@@ -231,6 +231,8 @@ class MatchResult:
         confidence_source: the confidence, or a function that computes it on demand; None if the method has none.
         sigma_px: float32 (H, W), standard deviation of each disparity, px, NaN where invalid; None if the method does
             not estimate it.
+        beyond_limits: how many pixels were rejected by their confidence (UNIQUENESS), and by the error of their depth
+            (RANGE).
     """
 
     disparity_px: F32
@@ -239,6 +241,7 @@ class MatchResult:
     confidence_source: F32 | Callable[[], F32] | None = None
     support_px: tuple[int, int] = (1, 1)
     sigma_px: F32 | None = None
+    beyond_limits: tuple[int, int] = (0, 0)
 
     @cached_property
     def confidence(self) -> F32 | None:

@@ -30,6 +30,7 @@ def cloud_message(
     frame_id: str,
     color: U8 | None = None,
     color_encoding: str = "mono8",
+    quality: tuple[F32, F32] | None = None,
     payload: tuple[Any, U8] | None = None,
 ) -> Any:
     """An organized PointCloud2, NaN where invalid.
@@ -41,6 +42,7 @@ def cloud_message(
         layout: memory layout of a point.
         stamp_ns, frame_id: header, that of the left image.
         color, color_encoding: the left rectified image, if the layout has a color.
+        quality: confidence and standard deviation of the depth, meters, float32 (H, W), if the layout has them.
         payload: a reused ``types.payload(H * W * point_step)``, initially zeroed, or None for a new one.
 
     Raises:
@@ -48,7 +50,7 @@ def cloud_message(
     """
     height, width = disparity_px.shape
     data, view = payload or types.payload(height * width * layout.point_step)
-    pack_points(disparity_px, triangulation, layout, view, color, color_encoding)
+    pack_points(disparity_px, triangulation, layout, view, color, color_encoding, quality)
     return _message(types, layout, (height, width), data, make_header(types, stamp_ns, frame_id), is_dense=False)
 
 
@@ -101,6 +103,8 @@ def _message(
     offsets = {"x": 0, "y": 4, "z": 8}
     if layout.rgb_offset is not None:
         offsets["rgb"] = layout.rgb_offset
+    if layout.quality_offset is not None:
+        offsets |= {"confidence": layout.quality_offset, "sigma": layout.quality_offset + 4}
     return _message_of(types, offsets, layout.point_step, shape, data, header, is_dense=is_dense)
 
 

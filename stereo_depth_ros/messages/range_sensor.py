@@ -13,7 +13,8 @@ import numpy.typing as npt
 from stereo_depth_ros.core.camera import CameraModel, check_intrinsics
 from stereo_depth_ros.core.errors import MessageError
 from stereo_depth_ros.core.quoted import quoted
-from stereo_depth_ros.core.types import F32, F64
+from stereo_depth_ros.core.types import F64
+from stereo_depth_ros.messages.depth import depth_pixels
 from stereo_depth_ros.messages.types import NS_PER_S, stamp_ns
 from stereo_depth_ros.ranging.sensor_points import DEFAULT_SIGMA_M, I64, SensorPoints
 
@@ -22,7 +23,6 @@ __all__ = [
     "RANGE_TYPES",
     "cloud_points",
     "depth_info_topic",
-    "depth_pixels",
     "depth_points",
     "range_points",
     "scan_points",
@@ -38,7 +38,6 @@ _TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 _CLOCK_S = 1e6  # a time above it is not one after the stamp
 _CLOCK_NS = 1e15  # seconds of a clock are below it until the year 31 million
 _LONGEST_NS = 10 * NS_PER_S  # of a sweep
-_DEPTH_ENCODINGS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}  # type, meters of a level
 
 
 def range_points(
@@ -188,39 +187,6 @@ def depth_points(msg: Any, camera: CameraModel, topic: str = "", sigma_m: float 
 def depth_info_topic(topic: str) -> str:
     """The topic of the camera info of a depth image: camera_info beside it."""
     return f"{topic.rpartition('/')[0]}/camera_info"
-
-
-def depth_pixels(msg: Any, topic: str = "") -> F32:
-    """The depth of a sensor_msgs/Image by REP 118, float32 (H, W), meters; NaN where it is 0, not finite or below 0.
-
-    Raises:
-        MessageError: another encoding than 16UC1 and mono16 in millimeters or 32FC1 in meters, or too few bytes.
-    """
-    if msg.encoding not in _DEPTH_ENCODINGS:
-        raise MessageError(
-            f"encoding {quoted(msg.encoding)}, a depth image is one of {', '.join(_DEPTH_ENCODINGS)}",
-            subject=topic,
-            value=msg.encoding,
-            limit=tuple(_DEPTH_ENCODINGS),
-            remedy="use the raw depth topic",
-        )
-    kind, meters = _DEPTH_ENCODINGS[msg.encoding]
-    dtype = np.dtype((">" if msg.is_bigendian else "<") + kind)
-    size, needed = len(msg.data), msg.step * msg.height
-    if msg.width == 0 or msg.height == 0 or msg.step < dtype.itemsize * msg.width or size < needed:
-        raise MessageError(
-            f"data has {size} bytes and rows of {msg.step}, {msg.width}x{msg.height} px of {msg.encoding} are expected",
-            subject=topic,
-            value=size,
-            limit=needed,
-            remedy="the payload is truncated, or width, height or step is wrong",
-        )
-    rows = np.frombuffer(msg.data, np.uint8, needed).reshape(msg.height, msg.step)
-    levels = np.ascontiguousarray(rows[:, : dtype.itemsize * msg.width]).view(dtype)
-    with np.errstate(invalid="ignore"):
-        depth_m = levels.astype(np.float32) * np.float32(meters)
-        depth_m[~((depth_m > 0) & np.isfinite(depth_m))] = np.nan
-    return depth_m
 
 
 def _layout(msg: Any, topic: str) -> np.dtype[Any]:

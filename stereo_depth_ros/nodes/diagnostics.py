@@ -8,7 +8,7 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 import numpy as np
@@ -52,6 +52,7 @@ class NodeDiagnostics:
         self._loss_at = self._loss_said_at = -QUIET_S
         self._last_loss = ""
         self._states: list[Callable[[], str]] = []
+        self._facts_now: list[Callable[[], Mapping[str, str]]] = []
         self._states_said: set[str] = set()
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # A steady clock: diagnostics continue while simulated time stands still.
@@ -84,6 +85,10 @@ class NodeDiagnostics:
     def watch_state(self, text: Callable[[], str]) -> None:
         """While ``text`` is not empty the level is WARN; it is logged when it appears."""
         self._states.append(text)
+
+    def watch_facts(self, facts: Callable[[], Mapping[str, str]]) -> None:
+        """Values to publish, by name, computed when they are."""
+        self._facts_now.append(facts)
 
     @contextmanager
     def catch(self) -> Iterator[None]:
@@ -121,13 +126,13 @@ class NodeDiagnostics:
 
     def _message(self) -> DiagnosticArray:
         self._check_losses()
-        values = {**self.facts, **{name: str(count) for name, count in sorted(self.counters.items())}}
+        now = {name: value for facts in self._facts_now for name, value in facts().items()}
+        values = {**self.facts, **now, **{name: str(count) for name, count in sorted(self.counters.items())}}
         for stage, times in self._timings_ms.items():
             p50, p95 = np.percentile(np.array(times), (50, 95))
             values |= {f"{stage} p50 ms": f"{p50:.3f}", f"{stage} p95 ms": f"{p95:.3f}"}
-        now = time.monotonic()
         faults = self._faults.present()
-        lasting = self._last_loss if now - self._loss_at < QUIET_S else self.warning
+        lasting = self._last_loss if time.monotonic() - self._loss_at < QUIET_S else self.warning
         warning = "; ".join(filter(None, (*self._current_states(), lasting)))
         healthy = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         status = DiagnosticStatus(

@@ -8,26 +8,30 @@ import functools
 from concurrent.futures import Future
 from typing import Any, NamedTuple
 
-from stereo_depth_ros.config import CameraInfoConfig, MatchingConfig, PairingConfig, PriorConfig
+from stereo_depth_ros.config import CameraInfoConfig, MatchingConfig, PairingConfig, PipelineConfig, PriorConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.rig import StereoRig
-from stereo_depth_ros.core.types import U8, MatchResult, StereoPair
+from stereo_depth_ros.core.types import U8, MatchResult, RectifiedPair, StereoPair
 from stereo_depth_ros.matching.protocol import Images
-from stereo_depth_ros.messages.disparity import match_message
-from stereo_depth_ros.messages.payloads import PayloadPool
 from stereo_depth_ros.messages.types import stamp_ns
 from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.first_pairs_watch import FirstPairsWatch
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RECTIFIED_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.match_report import MatchReport
 from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.prior_input import PriorInput
 from stereo_depth_ros.nodes.runner import run
+from stereo_depth_ros.outputs import MATCH_OUTPUTS, OUTPUTS, ResultMessages
+from stereo_depth_ros.pipeline import StereoResult
 from stereo_depth_ros.stages.disparity import DisparityStage
 from stereo_depth_ros.stages.rectification import Rectifier
 
 __all__ = ["DisparityNode", "main"]
+
+
+_OUTPUTS = (*(row for row in OUTPUTS if row.topic == "disparity"), *MATCH_OUTPUTS)
 
 
 class _Frame(NamedTuple):
@@ -59,7 +63,7 @@ class DisparityNode(StereoNode):
         "disparity_node",
         configs=(PairingConfig, CameraInfoConfig, MatchingConfig, PriorConfig),
         inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
-        outputs={"disparity": "stereo_msgs/msg/DisparityImage"},
+        outputs={row.topic: row.msgtype for row in _OUTPUTS},
     )
 
     def __init__(self) -> None:
@@ -67,12 +71,13 @@ class DisparityNode(StereoNode):
         self._prior = PriorInput(self)
         self.parameters.require(MatchingConfig, self._check)
         self.refuse_equal_topics("left/image_rect", "right/image_rect")
-        self._pool = PayloadPool(self.types)
+        self._messages = ResultMessages(self.types)
         self._rectifier = functools.lru_cache(maxsize=1)(Rectifier)
         self._stage = functools.lru_cache(maxsize=1)(DisparityStage)
         self._first_pairs = FirstPairsWatch(self)
+        self._report = MatchReport(self.diagnostics)
         self._calibration = CalibrationInput(self, rectified=True)
-        self._output = self.add_output("disparity")
+        self._results = [(self.add_output(row.topic), row.build) for row in _OUTPUTS]
         self.overlap_frames(self._prepare, self._match, self._publish, lambda frame: frame.stage.at_once)
         self._pairs = PairInput(self, "left/image_rect", "right/image_rect", self._on_pair)
         self.add_input("left/image_rect", self._pairs.add_left)
@@ -105,8 +110,13 @@ class DisparityNode(StereoNode):
     def _publish(self, future: Future[tuple[_Decoded, MatchResult]]) -> None:
         with self._first_pairs.refusing():
             (frame, pair, left, right, _), match = future.result()
+            self._report.note(match)
             self._first_pairs.look(frame.rig, frame.rectifier.shown, pair, left, right, match)
-        self._output.publish(match_message(self.types, self._pool, match, frame.config, frame.rig, pair.left))
+        rectified, config = RectifiedPair(left, right, left, "mono8"), PipelineConfig(matching=frame.config)
+        result = StereoResult(pair, rectified, match, frame.rig, config, {}, frame.rectifier)
+        for output, build in self._results:
+            if output.wanted:
+                output.publish(build(self._messages, result))
 
 
 def main() -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from stereo_depth_ros.config import CameraInfoConfig, CloudConfig, MatchingConfig, PairingConfig
+from stereo_depth_ros.config import CameraInfoConfig, MatchingConfig, PairingConfig, PointConfig
 from stereo_depth_ros.core.images import to_gray
 from stereo_depth_ros.core.rig import StereoRig
 from stereo_depth_ros.core.triangulation import Triangulation
@@ -29,7 +29,7 @@ class FeatureNode(StereoNode):
 
     interface = NodeInterface(
         "feature_node",
-        configs=(PairingConfig, CameraInfoConfig, MatchingConfig, CloudConfig),
+        configs=(PairingConfig, CameraInfoConfig, MatchingConfig, PointConfig),
         inputs=CAMERA_INFOS | RECTIFIED_IMAGES,
         outputs={"features/points2": "sensor_msgs/msg/PointCloud2"},
     )
@@ -56,7 +56,7 @@ class FeatureNode(StereoNode):
         with self.diagnostics.timed("match"):
             matches = self._stage(config, self._rectifier(rig)).find(to_gray(pair.left), to_gray(pair.right))
         points_m = matches.points_m(Triangulation.from_rig(rig))
-        layout = CloudLayout.of(self.parameters.get(CloudConfig))
+        layout = CloudLayout.of(self.parameters.get(PointConfig))
         stamp_ns, frame_id = pair.left.stamp_ns, pair.left.frame_id
         rgb = matches.colors(pair.left)
         self._output.publish(

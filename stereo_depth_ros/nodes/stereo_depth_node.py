@@ -26,6 +26,7 @@ from stereo_depth_ros.nodes.base import StereoNode
 from stereo_depth_ros.nodes.calibration_input import CalibrationInput
 from stereo_depth_ros.nodes.first_pairs_watch import FirstPairsWatch
 from stereo_depth_ros.nodes.interface import CAMERA_INFOS, RAW_IMAGES, NodeInterface
+from stereo_depth_ros.nodes.match_report import MatchReport
 from stereo_depth_ros.nodes.pair_input import PairInput
 from stereo_depth_ros.nodes.prior_input import PriorInput
 from stereo_depth_ros.nodes.runner import run
@@ -67,6 +68,7 @@ class StereoDepthNode(StereoNode):
         self.refuse_equal_topics("left/image_raw", "right/image_raw")
         self._pipeline: StereoPipeline | None = None
         self._first_pairs = FirstPairsWatch(self)
+        self._report = MatchReport(self.diagnostics)
         self._messages = ResultMessages(self.types)
         self._depth = BitDepth()
         self.on_idle += [self._depth.restart, self._messages.restart]
@@ -101,6 +103,7 @@ class StereoDepthNode(StereoNode):
         with self._first_pairs.refusing():
             pipeline, result = future.result()
             rig, (left, right) = result.calibrated_rig, (result.rectified.left, result.rectified.right)
+            self._report.note(result.disparity)
             self._first_pairs.look(rig, pipeline.shown, result.pair, left, right, result.disparity)
         for output, topic, build in self._results:
             if output.wanted:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from stereo_depth_ros.config import MatchingConfig
 from stereo_depth_ros.core.bands import run_bands
@@ -57,8 +58,11 @@ class Limits:
         # Before any is rejected: a neighbor that is rejected makes none less certain
         sigma_px = sigma_of(found, self._config) if self._of_error else confidence
         given = (found.disparity_px, found.reasons, confidence, sigma_px, self._least_confidence, self._doffs_px)
-        run_bands(_reject, len(confidence), *given, *self._largest)
-        return replace(found, confidence_source=None if found.confidence is None else confidence)
+        counts = np.zeros((len(confidence), 2), np.int64)
+        run_bands(_reject, len(confidence), *given, *self._largest, counts)
+        source = None if found.confidence is None else confidence
+        by_confidence, by_error = counts.sum(axis=0).tolist()
+        return replace(found, confidence_source=source, beyond_limits=(by_confidence, by_error))
 
 
 def _f_baseline(rig: Rig) -> float:
@@ -76,7 +80,10 @@ def _f_baseline(rig: Rig) -> float:
 _IMAGE = "float32[:, ::1]"
 
 
-@compiled(f"void(int64, int64, {_IMAGE}, uint8[:, ::1], {_IMAGE}, {_IMAGE}, float32, float32, float32, float32)")
+@compiled(
+    f"void(int64, int64, {_IMAGE}, uint8[:, ::1], {_IMAGE}, {_IMAGE}, "
+    "float32, float32, float32, float32, int64[:, ::1])"
+)
 def _reject(
     first: int,
     last: int,
@@ -88,8 +95,9 @@ def _reject(
     doffs_px: np.float32,
     largest: np.float32,
     largest_relative: np.float32,
+    counts: npt.NDArray[np.int64],
 ) -> None:
-    """``largest`` is the error of the depth divided by f B."""
+    """``largest`` is the error of the depth divided by f B; ``counts`` of each row: by confidence, and by an error."""
     for y in range(first, last):
         for x in range(disparity_px.shape[1]):
             if reasons[y, x]:
@@ -98,8 +106,10 @@ def _reject(
             reason = np.uint8(0)
             if confidence[y, x] < least_confidence:
                 reason = _UNIQUENESS
+                counts[y, 0] += 1
             if sigma_px[y, x] > largest * ahead * ahead or sigma_px[y, x] > largest_relative * ahead:
                 reason |= _RANGE
+                counts[y, 1] += 1
             if reason:
                 reasons[y, x] = reason
                 disparity_px[y, x] = _NAN

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_depth_ros.config import CloudConfig
+from stereo_depth_ros.config import CloudConfig, PointConfig
 from stereo_depth_ros.core.bands import run_bands
 from stereo_depth_ros.core.errors import ImageError
 from stereo_depth_ros.core.kernels import compiled
@@ -27,17 +27,31 @@ class CloudLayout:
     Attributes:
         point_step: bytes per point.
         rgb_offset: byte offset of the packed color (as float32, bytes blue, green, red, 0), or None.
+        quality_offset: byte offset of the confidence, 0..1, which the standard deviation of the depth follows, meters;
+            both float32; or None.
     """
 
     point_step: int
     rgb_offset: int | None
+    quality_offset: int | None = None
 
     @classmethod
-    def of(cls, config: CloudConfig) -> CloudLayout:
-        """The layouts of stereo_image_proc: 32 bytes with color, 16 without; unpadded 16 and 12."""
+    def of(cls, config: PointConfig) -> CloudLayout:
+        """The layouts of stereo_image_proc: 32 bytes with color, 16 without; unpadded 16 and 12.
+
+        Confidence and standard deviation come behind them: where there is no padding for them 8 or 16 bytes more.
+        """
+        step, rgb_offset = {
+            (False, False): (16, None),
+            (False, True): (32, 16),
+            (True, False): (12, None),
+            (True, True): (16, 12),
+        }[config.avoid_point_cloud_padding, config.use_color]
+        if not (isinstance(config, CloudConfig) and config.point_quality):
+            return cls(step, rgb_offset)
         if config.avoid_point_cloud_padding:
-            return cls(16, 12) if config.use_color else cls(12, None)
-        return cls(32, 16) if config.use_color else cls(16, None)
+            return cls(step + 8, rgb_offset, step)
+        return cls(32, rgb_offset, 20 if config.use_color else 16)
 
 
 def pack_points(
@@ -47,6 +61,7 @@ def pack_points(
     points: U8,
     color: U8 | None = None,
     color_encoding: str = "mono8",
+    quality: tuple[F32, F32] | None = None,
 ) -> None:
     """Write the points of a disparity map, row by row, into the payload of an organized cloud.
 
@@ -57,6 +72,8 @@ def pack_points(
         points: uint8 (H * W * point_step,), the payload; padding bytes are unchanged.
         color: uint8 (H, W) or (H, W, 3), the left rectified image; required if the layout has a color.
         color_encoding: "mono8", "rgb8" or "bgr8".
+        quality: confidence and standard deviation of the depth, meters, float32 (H, W); required if the layout has
+            them.
 
     Raises:
         ImageError: image and disparities differ in size, or the payload has another length.
@@ -78,6 +95,9 @@ def pack_points(
         ((np.arange(height) - t.cy_px) / t.fy_px).astype(np.float32),
     )
     words = points.view(np.float32).reshape(height, width, layout.point_step // 4)
+    if layout.quality_offset is not None:
+        for word, values in enumerate(_checked_quality(quality, (height, width)), start=layout.quality_offset // 4):
+            words[:, :, word] = values
     if layout.rgb_offset is None:
         run_bands(_pack_xyz, height, disparity_px, *geometry, words)
         return
@@ -96,6 +116,19 @@ def pack_points(
     rgb = points.view(np.uint32).reshape(words.shape)
     word = layout.rgb_offset // 4
     run_bands(_pack_xyz_rgb, height, disparity_px, *geometry, words, rgb, word, colors, red, green, blue)
+
+
+def _checked_quality(quality: tuple[F32, F32] | None, shape: tuple[int, int]) -> tuple[F32, F32]:
+    shapes = None if quality is None else tuple(values.shape for values in quality)
+    if quality is None or shapes != (shape, shape):
+        raise ImageError(
+            f"confidence and standard deviation of {shapes}, the disparities have {shape} (rows, columns)",
+            value=shapes,
+            limit=shape,
+            remedy="pass those of the disparities, or leave them out",
+            settings=("point_quality",),
+        )
+    return quality
 
 
 @compiled(f"void(int64, int64, float32[:, ::1], float32, float32, float32[::1], float32[::1], {_WORDS})")
