@@ -22,6 +22,7 @@ from stereo_depth_ros.matching.costs.census import (
     hamming_row,
     padded_count,
 )
+from stereo_depth_ros.matching.costs.windows import whole_range
 
 I64 = npt.NDArray[np.int64]
 U64 = npt.NDArray[np.uint64]
@@ -142,7 +143,7 @@ def costs(left: U64, right: U64, max_disparity: int, count: int, images: tuple[U
     for own, image in zip(census[0], images or (), strict=False):
         with_grays(own, image)
     for y in range(height):
-        hamming_row(census, y, max_disparity, count, images is not None, raw[y], sums)
+        hamming_row(census, y, max_disparity, count, images is not None, whole_range(height, width, size), raw[y], sums)
     np.testing.assert_array_equal(raw[:, [0, -1]], raw[:, [1, -2]])
     assert (raw[..., count:] == LARGEST_COST).all()
     return raw[:, 1:-1, :count]

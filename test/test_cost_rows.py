@@ -14,6 +14,7 @@ from test_census import costs_by_definition, planes, with_grays
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.matching.costs.census import CENSUS_BITS, LARGEST_COST, padded_count
 from stereo_depth_ros.matching.costs.permeability import GROUP, permeabilities, permeability_rows
+from stereo_depth_ros.matching.costs.windows import whole_range
 from stereo_depth_ros.matching.sgm.cost_rows import LARGEST_SMOOTHED, View, cost_rows, first_needed
 from stereo_depth_ros.matching.sgm.strips import Scratch
 
@@ -71,7 +72,9 @@ def permeably_smoothed(raw: I64, image: U8, top: int = 0) -> I64:
     return smoothed
 
 
-def view_of(image: U8, left: npt.NDArray[np.uint64], right: npt.NDArray[np.uint64], other: U8 | None = None) -> View:
+def view_of(
+    image: U8, left: npt.NDArray[np.uint64], right: npt.NDArray[np.uint64], other: U8 | None = None, count: int = 16
+) -> View:
     """What is computed of an image with these codes, and of the other one, which is the same if not given."""
     height, width = image.shape
     along, scales = np.zeros((2, height, width), np.uint16)
@@ -80,7 +83,7 @@ def view_of(image: U8, left: npt.NDArray[np.uint64], right: npt.NDArray[np.uint6
     census = planes(np.stack([left, right])[None])
     with_grays(census[0, 0], image)
     with_grays(census[0, 1], image if other is None else other)
-    return View(census, along, scales, down)
+    return View(census, along, scales, down, whole_range(height, width, padded_count(count)))
 
 
 def costs(view: View, top: int, max_disparity: int, count: int, edge_aware: bool) -> U8:
@@ -117,7 +120,7 @@ def test_costs_are_those_of_the_definition(
     raw = costs_by_definition(left, right, max_disparity, count, (image, other) if edge_aware else None)
     for top in range(0, shape[0], 8):  # strips
         expected = permeably_smoothed(raw, image, top) if edge_aware else plainly_smoothed(raw)[top:]
-        found = costs(view_of(image, left, right, other), top, max_disparity, count, edge_aware)
+        found = costs(view_of(image, left, right, other, count), top, max_disparity, count, edge_aware)
         np.testing.assert_array_equal(found, expected)
         assert found.max() <= LARGEST_SMOOTHED
 

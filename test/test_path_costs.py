@@ -10,6 +10,7 @@ import pytest
 
 from stereo_depth_ros.core.types import U8
 from stereo_depth_ros.matching.costs.census import LARGEST_COST, padded_count
+from stereo_depth_ros.matching.costs.windows import whole_range
 from stereo_depth_ros.matching.sgm.cost_rows import LARGEST_SMOOTHED
 from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST, path_step, start_path, step_row
 
@@ -86,7 +87,18 @@ def test_rows_of_an_image(shift: int) -> None:
         above = max(y - 1, 0)
         columns = shift if y > 0 else width  # further than the row is long: all paths begin
         rows = (image[y], image[above], columns, filled(cost[y]))
-        step_row(*rows, np.uint8(P1), P2, path[above], least[above], path[y], least[y])
+        penalties = np.uint8(P1), P2
+        step_row(
+            *rows,
+            *penalties,
+            path[above],
+            least[above],
+            path[y],
+            least[y],
+            whole_range(1, width, padded_count(count)),
+            0,
+            0,
+        )
     expected = path_by_definition(cost.astype(np.int64), image, P1, P2.astype(np.int64), 1, shift)
     np.testing.assert_array_equal(path, filled(expected))
     np.testing.assert_array_equal(least, expected.min(axis=2))

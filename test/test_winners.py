@@ -25,7 +25,7 @@ I64 = npt.NDArray[np.int64]
 
 @numba.njit
 def _take(sums: U16, winners: U16) -> None:
-    take_winner(sums, np.uint16(min(sums[0].min(), sums[1].min())), 1, winners)
+    take_winner(sums, 0, sums.size, np.uint16(min(sums[0].min(), sums[1].min())), 1, winners)
 
 
 @numba.njit
@@ -57,7 +57,7 @@ def _lower_row(sums: U16, right_sums: U16, right_indices: U16) -> None:
     right_sums[:] = NO_SUM
     for j in range(len(sums)):
         x = len(sums) - 1 - j
-        lower_right(sums[x], x, right_sums, right_indices)
+        lower_right(sums[x], 0, 2 * sums.shape[2], x, right_sums, right_indices)
 
 
 @numba.njit

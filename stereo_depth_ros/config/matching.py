@@ -125,6 +125,12 @@ class SgmConfig(Checked):
         "paths and a match of the right image on its own.",
         choices=("fast", "default", "best"),
     )
+    search_prior: str = parameter(
+        "none",
+        "Search only near disparities that are roughly known: of the pair at a quarter of its size (pyramid), or of "
+        "the pair before (previous; results then depend on it). It saves time in ranges of more than 128 disparities.",
+        choices=("none", "pyramid", "previous"),
+    )
     sgm_paths: int = parameter(
         0, "Number of path directions, 4 or 8; 0 uses that of the quality, 3 or 4.", low=0, high=8, step=4
     )

@@ -26,6 +26,7 @@ from stereo_depth_ros.core.vectors import (
     where_less,
     xor,
 )
+from stereo_depth_ros.matching.costs.windows import TILE_ROWS, Windows, run_of
 
 __all__ = [
     "CAP",
@@ -182,7 +183,9 @@ def _hamming_pixel(census: U8, y: int, x: int, max_disparity: int, count: int, w
 
 
 @compiled(allocates=False, inlined=False)
-def hamming_row(census: U8, y: int, max_disparity: int, count: int, weak: bool, raw: U8, sums: U16) -> None:
+def hamming_row(
+    census: U8, y: int, max_disparity: int, count: int, weak: bool, windows: Windows, raw: U8, sums: U16
+) -> None:
     """Matching costs of one row: Hamming distances, before any smoothing.
 
     Of several pairs of one scene the distance is the mean over the pairs, rounded to whole bits.
@@ -201,22 +204,30 @@ def hamming_row(census: U8, y: int, max_disparity: int, count: int, weak: bool, 
         max_disparity: largest disparity, px.
         count: number of disparities; K is :func:`padded_count` of it.
         weak: whether gray differences are added, of a single pair.
+        windows: what is searched; the costs of the rest are not defined.
         raw: uint8 (W + 2, K), written from ``raw[1]`` on; the first and last pixel are repeated for a smoothing.
         sums: scratch, uint16 (K,).
     """
     width, size = census.shape[4] - 2 * MARGIN, raw.shape[1]
-    inside, beyond = max(max_disparity, 0), min(width - count + max_disparity + 1, width)  # all right pixels exist
-    if len(census) > 1 or inside >= beyond:
-        inside = beyond = width
-    for x in range(inside):
-        _hamming_pixel(census, y, x, max_disparity, count, weak, raw[x + 1], sums)
     left, right = census[0, 0, y], census[0, 1, y]
-    for x in range(inside, beyond):  # without a view or a branch for each pixel, which took longer than the distances
-        _hamming(left, x, right, x - max_disparity, weak, raw, (x + 1) * size, size)
-        if count < size:
-            raw[x + 1, count:] = LARGEST_COST
-    for x in range(beyond, width):
-        _hamming_pixel(census, y, x, max_disparity, count, weak, raw[x + 1], sums)
+    tile = y // TILE_ROWS
+    for run in range(windows.run_count[tile]):
+        begin, end, low, some = run_of(windows, tile, run)
+        used = min(low + some, count) - low
+        # Where all right pixels of the window exist: from ``inside`` to ``beyond``
+        inside = min(max(max_disparity - low, begin), end)
+        beyond = max(min(width - used + max_disparity - low + 1, end), inside)
+        if len(census) > 1:
+            inside = beyond = end
+        for x in range(begin, inside):
+            _hamming_pixel(census, y, x, max_disparity, count, weak, raw[x + 1], sums)
+        # Without a view or a branch for each pixel, which took longer than the distances
+        for x in range(inside, beyond):
+            _hamming(left, x, right, x - max_disparity + low, weak, raw, (x + 1) * size + low, some)
+            if used < some:
+                raw[x + 1, count:] = LARGEST_COST
+        for x in range(beyond, end):
+            _hamming_pixel(census, y, x, max_disparity, count, weak, raw[x + 1], sums)
     for k in range(size):
         raw[0, k] = raw[1, k]
         raw[width + 1, k] = raw[width, k]

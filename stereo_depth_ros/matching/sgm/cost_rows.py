@@ -14,6 +14,7 @@ from stereo_depth_ros.core.types import F32, U8, U16
 from stereo_depth_ros.core.vectors import BYTES, add_saturated, load, mean, store
 from stereo_depth_ros.matching.costs.census import CENSUS_BITS, LARGEST_CAP, hamming_row, quarter_half_quarter
 from stereo_depth_ros.matching.costs.permeability import GROUP, smooth_along, smooth_down
+from stereo_depth_ros.matching.costs.windows import WINDOWS, Windows
 
 __all__ = ["COSTS", "LARGEST_SMOOTHED", "RAW_ROWS", "SLOTS", "VIEW", "Costs", "View", "cost_rows", "first_needed"]
 
@@ -29,9 +30,10 @@ class View(NamedTuple):
     along: U16  # (H, W)
     along_scales: U16  # (H, W)
     down: U16  # (H + 2 GROUP, W)
+    windows: Windows  # with plain costs the whole range
 
 
-VIEW = numba.types.NamedTuple([uint8[:, :, :, :, ::1], uint16[:, ::1], uint16[:, ::1], uint16[:, ::1]], View)
+VIEW = numba.types.NamedTuple([uint8[:, :, :, :, ::1], uint16[:, ::1], uint16[:, ::1], uint16[:, ::1], WINDOWS], View)
 
 
 class Costs(NamedTuple):
@@ -40,10 +42,11 @@ class Costs(NamedTuple):
     raw: U8  # (RAW_ROWS, W + 2, K)
     sums: U16  # (K,)
     smooth: U8  # (SLOTS, W, K) rows smoothed along x, row y at y % SLOTS
-    forward: U16  # (RAW_ROWS, W, K), as the following ones see permeability.py
+    forward: U16  # (RAW_ROWS, W + 1, K), as the following ones see permeability.py
     backward: U16  # (RAW_ROWS, K)
     above: U16  # (W, K)
     below: U16  # (GROUP, BYTES)
+    moved: U16  # (K,)
     weights: F32  # (2 + GROUP, W)
     scales: U16  # (GROUP, W)
     unused: U8  # (K,)
@@ -86,15 +89,17 @@ def cost_rows(
     while done < min(first + (2 * GROUP - 1 if edge_aware else GROUP), height - 1):
         begin, end = done + 1, min(done + 1 + RAW_ROWS, height)
         for near in range(begin, end):
-            hamming_row(view.census, near, max_disparity, count, edge_aware, c.raw[near - begin], c.sums)
+            hamming_row(view.census, near, max_disparity, count, edge_aware, view.windows, c.raw[near - begin], c.sums)
         if edge_aware:
-            smooth_along(begin, end, view.along, view.along_scales, c.raw, c.forward, c.backward, c.smooth)
+            given = (view.along, view.along_scales, c.raw, c.forward, c.backward, c.moved, c.smooth)
+            smooth_along(begin, end, view.windows, *given)
         else:
             for near in range(begin, end):
                 _smooth_plainly(c.raw[near - begin], c.smooth[near % SLOTS])
         done = end - 1
     if edge_aware:
-        smooth_down(first, starts, view.down, c.unused, c.weights, c.scales, c.above, c.below, c.smooth, out)
+        sums = (c.unused, c.weights, c.scales, c.above, c.below, c.moved, c.smooth)
+        smooth_down(first, starts, view.windows, view.down, *sums, out)
     else:
         for y in range(first, min(first + GROUP, height)):
             before, here = c.smooth[max(y - 1, 0) % SLOTS], c.smooth[y % SLOTS]
@@ -114,7 +119,7 @@ def _smooth_plainly(raw: U8, out: U8) -> None:
 COSTS = numba.types.NamedTuple(
     [
         *(uint8[:, :, ::1], uint16[::1], uint8[:, :, ::1], uint16[:, :, ::1], uint16[:, ::1], uint16[:, ::1]),
-        *(uint16[:, ::1], float32[:, ::1], uint16[:, ::1], uint8[::1]),
+        *(uint16[:, ::1], uint16[::1], float32[:, ::1], uint16[:, ::1], uint8[::1]),
     ],
     Costs,
 )

@@ -30,6 +30,7 @@ from stereo_depth_ros.core.vectors import (
     store,
     subtract,
 )
+from stereo_depth_ros.matching.costs.windows import Windows, fill_missing, run_of, window_at
 
 __all__ = ["LARGEST_PATH_COST", "path_step", "start_path", "step_row"]
 
@@ -109,6 +110,9 @@ def step_row(
     least_before: U8,
     after: U8,
     least_after: U8,
+    windows: Windows,
+    tile: int,
+    tile_before: int,
 ) -> None:
     """Advance the paths of a row to the next one, ``shift`` columns on; paths that enter the image start here.
 
@@ -118,13 +122,22 @@ def step_row(
         P2: uint8 (256,), the penalty by the gray difference of the two pixels.
         before, least_before: uint8 (W, K) and (W,), path costs of the previous row and their minimum per pixel.
         after, least_after: the same of this row, written.
+        windows: what is searched; the whole range where there is a shift.
+        tile, tile_before: the rows of windows of both rows; path costs that the previous one does not have are 255.
     """
     width, size = cost.shape
-    for x in range(width):
-        x_before, at = x - shift, x * size
-        if x_before < 0 or x_before >= width:
-            least_after[x] = start_path(cost, at, size, after, at)
-        else:
-            edge = abs(np.int64(image[x]) - np.int64(image_before[x_before]))
-            given = (before, x_before * size, least_before[x_before], cost, at, size)
-            least_after[x] = path_step(*given, P1, P2[edge], after, at)
+    if tile != tile_before:
+        for x in range(width):
+            of_before = window_at(windows, tile_before, x)
+            of_this = window_at(windows, tile, x)
+            fill_missing(before[x], of_before[0], of_before[1], of_this[0], of_this[1], _TOP)
+    for run in range(windows.run_count[tile]):
+        begin, end, low, some = run_of(windows, tile, run)
+        for x in range(begin, end):
+            x_before, at = x - shift, x * size + low
+            if x_before < 0 or x_before >= width:
+                least_after[x] = start_path(cost, at, some, after, at)
+            else:
+                edge = abs(np.int64(image[x]) - np.int64(image_before[x_before]))
+                given = (before, x_before * size + low, least_before[x_before], cost, at, some)
+                least_after[x] = path_step(*given, P1, P2[edge], after, at)

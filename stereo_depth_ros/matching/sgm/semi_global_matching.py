@@ -16,10 +16,12 @@ from stereo_depth_ros.core.errors import ConfigError
 from stereo_depth_ros.core.kernels import compiled
 from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.types import F32, U8, U16, MatchResult, Reason
-from stereo_depth_ros.matching.costs.census import CENSUS_WINDOW, census_rows, empty_census
+from stereo_depth_ros.core.vectors import BYTES
+from stereo_depth_ros.matching.costs.census import CENSUS_WINDOW, census_rows, empty_census, padded_count
 from stereo_depth_ros.matching.costs.features import UNRELATED_COST, feature_costs
 from stereo_depth_ros.matching.costs.permeability import GROUP, permeabilities, permeability_rows
 from stereo_depth_ros.matching.costs.prior import prior_costs
+from stereo_depth_ros.matching.costs.windows import Windows, whole_range
 from stereo_depth_ros.matching.filters.disparity_filter import DisparityFilter
 from stereo_depth_ros.matching.filters.gap_filling import fill_gaps
 from stereo_depth_ros.matching.filters.plane_filling import PlaneFilling
@@ -30,6 +32,7 @@ from stereo_depth_ros.matching.protocol import Images, check_pair
 from stereo_depth_ros.matching.serial import SerialMatcher
 from stereo_depth_ros.matching.sgm.cost_rows import LARGEST_SMOOTHED, View
 from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST
+from stereo_depth_ros.matching.sgm.search_prior import PreviousDisparities, SearchPrior, SmallPair
 from stereo_depth_ros.matching.sgm.strips import (
     SPECKLE_STEPS_PER_PX,
     STEPS_PER_PX,
@@ -109,6 +112,9 @@ class SemiGlobalMatcher(SerialMatcher):
     :class:`~stereo_depth_ros.matching.networks.features.FeatureNetwork`, in the range of those of the census; they are
     not smoothed, and summed along four directions, in all qualities.
 
+    With ``search_prior`` only a window of the range is searched of each tile of 16 x 32 pixels, at least 64
+    disparities, see search_prior.py. Margins there must be 2.5 times as large, as there are fewer rivals.
+
     With a prior, disparities that another sensor expects, the costs of others rise up to a bound
     (:func:`~stereo_depth_ros.matching.costs.prior.prior_costs`), before they are summed along paths. It is of the left
     image alone, so that the left-right check uses the sums of the left one then, with best too.
@@ -144,6 +150,7 @@ class SemiGlobalMatcher(SerialMatcher):
         self.pair_count = config.temporal_window or 1
         self._shape = (0, 0)
         self._costs: U8 = np.empty((0, 0, 0), np.uint8)  # of a network
+        self._search_prior = _search_prior(config, effective)
         self._network = FeatureNetwork(config) if config.sgm_cost == "onnx" else None
         if self._network is not None:
             _check_single(config)
@@ -162,18 +169,25 @@ class SemiGlobalMatcher(SerialMatcher):
         disparity_px, margin = np.empty((2, *left.shape), np.float32)
         output = Output(disparity_px, self._coarse, reasons, margin, self._indices)
         own_right = self._quality.own_right and prior is None
+        windows = mirrored_windows = self._whole
+        if self._search_prior is not None:
+            windows, mirrored_windows = self._search_prior.windows(left, right, self._whole, own_right)
         search = self._search._replace(own_right=own_right)
-        self._match_view(pairs, prior, self._strips, search, self._scratch, output)
+        self._match_view(pairs, prior, windows, self._strips, search, self._scratch, output)
         if own_right:
             mirrored = [(_mirrored(right), _mirrored(left)) for left, right in pairs]
             search = self._search._replace(indices_only=True)
             right_output = output._replace(indices=self._right_indices)
-            self._match_view(mirrored, None, self._right_strips, search, self._right_scratch, right_output)
+            self._match_view(
+                mirrored, None, mirrored_windows, self._right_strips, search, self._right_scratch, right_output
+            )
             given = (self._indices, self._right_indices, self._search.max_disparity, self._search.tolerance)
             run_bands(_agree_rows, len(left), *given, reasons)
         self._speckle_filter(self._coarse, reasons)
         run_bands(_reject_rows, len(left), reasons, disparity_px, margin)
         self._disparity_filter(disparity_px)
+        if self._search_prior is not None:
+            self._search_prior.note(left, disparity_px)
         fill_gaps(disparity_px, reasons, margin, self.config.fill_gaps_px, self.step_px)
         if self.config.fill_holes:
             self._plane_filling(disparity_px, reasons, left)
@@ -185,6 +199,7 @@ class SemiGlobalMatcher(SerialMatcher):
         self,
         pairs: Sequence[Images],
         prior: DisparityPrior | None,
+        windows: Windows,
         strips: int,
         search: Search,
         scratch: Sequence[Scratch],
@@ -201,7 +216,7 @@ class SemiGlobalMatcher(SerialMatcher):
         image = _mean_image([pair[0] for pair in pairs])
         if search.edge_aware:
             run_bands(permeability_rows, len(image), image, _TABLE, *self._shares)
-        view, expected = View(census, *self._shares), prior_costs(prior, image)
+        view, expected = View(census, *self._shares, windows), prior_costs(prior, image)
         bands = len(scratch)
 
         def match(first: int, last: int) -> None:
@@ -238,6 +253,7 @@ class SemiGlobalMatcher(SerialMatcher):
         used = height if quality.edge_aware else 0
         along, scales, down = (np.zeros((rows, width), np.uint16) for rows in (used, used, used + 2 * GROUP))
         self._shares = along, scales, down
+        self._whole = whole_range(height, width, padded_count(count))
         self._shape = (height, width)
 
 
@@ -295,6 +311,28 @@ def _effective(config: MatchingConfig) -> Quality:
             settings=("sgm_P1", "sgm_P2"),
         )
     return quality._replace(paths=config.sgm_paths or quality.paths, P1=P1, P2=P2)
+
+
+def _search_prior(config: MatchingConfig, quality: Quality) -> SearchPrior | None:
+    """What limits the search, if the range is wider than the narrowest window."""
+    if config.search_prior == "none":
+        return None
+    if not quality.edge_aware or quality.paths == 8:
+        raise ConfigError(
+            f"search_prior = {config.search_prior} is for quality default and best, single pairs, census costs and up "
+            "to 4 paths",
+            value=config.search_prior,
+            limit="none",
+            remedy="set it to none",
+            settings=("search_prior",),
+        )
+    if config.num_disparities <= BYTES:
+        return None
+    return PreviousDisparities(config) if config.search_prior == "previous" else SmallPair(config, _coarse_matcher)
+
+
+def _coarse_matcher(config: MatchingConfig) -> SemiGlobalMatcher:
+    return SemiGlobalMatcher(config)
 
 
 @compiled("void(int64, int64, uint16[:, ::1], uint16[:, ::1], int64, int64, uint8[:, ::1])")

@@ -18,10 +18,11 @@ from stereo_depth_ros.matching.costs.census import LARGEST_COST, padded_count
 from stereo_depth_ros.matching.costs.features import copy_costs
 from stereo_depth_ros.matching.costs.permeability import GROUP
 from stereo_depth_ros.matching.costs.prior import PRIOR_COSTS, PriorCosts, add_prior_costs
+from stereo_depth_ros.matching.costs.windows import TILE_ROWS, Windows, fill_missing, run_of, window_at
 from stereo_depth_ros.matching.filters.speckle_filter import I16
 from stereo_depth_ros.matching.selection.summed_costs import U32
 from stereo_depth_ros.matching.sgm.cost_rows import COSTS, RAW_ROWS, SLOTS, VIEW, Costs, View, cost_rows, first_needed
-from stereo_depth_ros.matching.sgm.path_costs import path_step, start_path, step_row
+from stereo_depth_ros.matching.sgm.path_costs import LARGEST_PATH_COST, path_step, start_path, step_row
 from stereo_depth_ros.matching.sgm.winners import (
     NO_SUM,
     add_diagonals,
@@ -38,11 +39,13 @@ __all__ = ["SPECKLE_STEPS_PER_PX", "STEPS_PER_PX", "Output", "Scratch", "Search"
 
 STEPS_PER_PX = 64
 SPECKLE_STEPS_PER_PX = 8  # 4096 disparities fit in 16 bits
+_TOP = np.uint8(LARGEST_PATH_COST)
 _BORDER, _UNIQUENESS = np.uint8(Reason.BORDER), np.uint8(Reason.UNIQUENESS)
 _ROWS = GROUP  # A step along a row waits for the one before it; steps in several rows do not wait for each other.
 # Costs that are smoothed over many pixels without texture are alike, and paths add up their chance differences. So the
 # cost of a winner must lie below the mean of its pixel by this share and these half bits.
 CONTRAST, CONTRAST_HALF_BITS = np.float32(0.07), np.float32(1.0)
+NARROW = 2.5  # times as large as with the whole range; by Venus, Cones, Art, Aloe, Bowling1 and Motorcycle
 _UP_ROWS, _UP_MASK = 8, 7  # a power of two above _ROWS: row y is at y & 7, as a division in every step takes long
 
 
@@ -104,10 +107,11 @@ class Scratch(NamedTuple):
                 raw=on_pages((RAW_ROWS, width + 2, count), np.uint8),
                 sums=on_pages((count,), np.uint16),
                 smooth=on_pages((SLOTS, width, count), np.uint8),
-                forward=on_pages((RAW_ROWS, smoothed, count), np.uint16),
+                forward=on_pages((RAW_ROWS, smoothed + 1, count), np.uint16),
                 backward=on_pages((RAW_ROWS, count), np.uint16),
                 above=on_pages((smoothed, count), np.uint16),
                 below=on_pages((GROUP, BYTES), np.uint16),
+                moved=on_pages((count,), np.uint16),
                 weights=on_pages((2 + GROUP, smoothed), np.float32),
                 scales=on_pages((GROUP, smoothed), np.uint16),
                 unused=unused,
@@ -168,18 +172,30 @@ def _finish_row(winners: U16, y: int, search: Search, output: Output) -> None:
 
 
 @compiled(allocates=False)
-def _reject_alike(cost: U8, best: U16, sums: U32, search: Search, reasons: U8) -> None:
-    """Mark the pixels of a row whose winner costs hardly less than their other disparities do on average."""
-    filled = (cost.shape[1] - search.disparities) * np.int64(LARGEST_COST)  # those that only fill a vector
-    for x in range(reasons.size):
-        mean = np.float32(np.int64(sums[x]) - filled) * (np.float32(1) / np.float32(search.disparities))
-        contrast = mean - np.float32(cost[x, best[x]])
-        if reasons[x] == 0 and contrast < max(CONTRAST * mean, CONTRAST_HALF_BITS):
-            reasons[x] = _UNIQUENESS
+def _reject_alike(
+    cost: U8, best: U16, sums: U32, windows: Windows, tile: int, search: Search, margin: F32, reasons: U8
+) -> None:
+    """Mark the pixels of a row whose winner costs hardly less than their other disparities do on average.
+
+    A window has fewer of them, so that a pixel without a right match has a rival less often: its margin must be larger.
+    """
+    for run in range(windows.run_count[tile]):
+        start, end, low, some = run_of(windows, tile, run)
+        filled = max(low + some - search.disparities, 0)  # those that only fill a vector
+        least_margin = NARROW * search.uniqueness if some < search.disparities else 0.0
+        unused, share = filled * np.int64(LARGEST_COST), np.float32(1) / np.float32(some - filled)
+        for x in range(start, end):
+            mean = np.float32(np.int64(sums[x]) - unused) * share
+            contrast = mean - np.float32(cost[x, best[x]])
+            alike = contrast < max(CONTRAST * mean, CONTRAST_HALF_BITS) or margin[x] < least_margin
+            if reasons[x] == 0 and alike:
+                reasons[x] = _UNIQUENESS
 
 
 @compiled(allocates=False, inlined=False)
-def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, scratch: Scratch, output: Output) -> None:
+def _winners_rows(
+    first: int, last: int, top: int, image: U8, windows: Windows, search: Search, scratch: Scratch, output: Output
+) -> None:
     """Paths along rows first to last, at most ``_ROWS``, last exclusive, and the winners of all sums.
 
     Row y is at y - top in the buffers of costs and of paths from above.
@@ -187,51 +203,67 @@ def _winners_rows(first: int, last: int, top: int, image: U8, search: Search, sc
     s = scratch
     width, size, rows = image.shape[1], s.cost.shape[2], last - first
     costs, ups = (first - top) * width, len(s.up) > 0
-    for x in range(width):
-        for i in range(rows):
-            at, cost_at = (i * width + x) * size, (costs + i * width + x) * size
-            if x == 0:
-                s.least[i] = start_path(s.cost, cost_at, size, s.left, at)
-            else:
-                edge = abs(np.int64(image[first + i, x]) - np.int64(image[first + i, x - 1]))
-                given = (s.left, at - size, s.least[i], s.cost, cost_at, size)
-                s.least[i] = path_step(*given, search.P1, search.P2[edge], s.left, at)
+    tile = first // TILE_ROWS
+    for run in range(windows.run_count[tile]):
+        start, stop, low, some = run_of(windows, tile, run)
+        if run > 0:
+            for i in range(rows):
+                former = window_at(windows, tile, start - 1)
+                fill_missing(s.left[i, start - 1], former[0], former[1], low, some, _TOP)
+        for x in range(start, stop):
+            for i in range(rows):
+                at, cost_at = (i * width + x) * size + low, (costs + i * width + x) * size + low
+                if x == 0:
+                    s.least[i] = start_path(s.cost, cost_at, some, s.left, at)
+                else:
+                    edge = abs(np.int64(image[first + i, x]) - np.int64(image[first + i, x - 1]))
+                    given = (s.left, at - size, s.least[i], s.cost, cost_at, some)
+                    s.least[i] = path_step(*given, search.P1, search.P2[edge], s.left, at)
     s.right_sums[:] = NO_SUM
     diagonals, middle = len(s.down) > 1, len(s.down) // 2
-    for j in range(width):
-        x = width - 1 - j
-        column = x - search.max_disparity  # right column of index 0
-        begin, end = max(-column, 0), min(width - column, search.disparities)
-        for i in range(rows):
-            y = first + i
-            at, cost_at, path_at = (i * width + x) * size, (costs + i * width + x) * size, i * size
-            if j == 0:
-                s.least[i] = start_path(s.cost, cost_at, size, s.right, path_at)
-            else:
-                edge = abs(np.int64(image[y, x]) - np.int64(image[y, x + 1]))
-                given = (s.right, path_at, s.least[i], s.cost, cost_at, size)
-                s.least[i] = path_step(*given, search.P1, search.P2[edge], s.right, path_at)
-            if diagonals:
-                add_diagonals(s.down, y - top, s.up, y & _UP_MASK, x, s.totals[i])
-            down_at = middle * s.down[0].size + cost_at
-            up_at = (((middle if ups else 0) * _UP_ROWS + (y & _UP_MASK)) * width + x) * size
-            ways = (s.left, at, s.right, path_at, s.down, down_at, s.up, up_at)
-            s.least_totals[i] = add_paths(*ways, size, begin, end, diagonals, s.totals[i])
-        for i in range(rows):  # a loop of its own: what one row waits for, the others do meanwhile
-            if search.indices_only:
-                output.indices[first + i, x] = first_of(s.totals[i], s.least_totals[i])
-            else:
-                if not search.own_right:
-                    lower_right(s.totals[i], x, s.right_sums[i], s.right_indices[i])
-                take_winner(s.totals[i], s.least_totals[i], x, s.winners[i])
-                if search.edge_aware:
-                    s.sums_of_costs[i, x] = total_cost(s.cost, (costs + i * width + x) * size, size)
+    for reverse in range(windows.run_count[tile]):
+        start, stop, low, some = run_of(windows, tile, windows.run_count[tile] - 1 - reverse)
+        if reverse > 0:
+            for i in range(rows):
+                former = window_at(windows, tile, stop)
+                fill_missing(s.right[i], former[0], former[1], low, some, _TOP)
+        for j in range(stop - start):
+            x = stop - 1 - j
+            column = x - search.max_disparity + low  # right column of the first index
+            begin, end = min(max(-column, 0), some), max(min(width - column, search.disparities - low, some), 0)
+            for i in range(rows):
+                y = first + i
+                at, cost_at = (i * width + x) * size + low, (costs + i * width + x) * size + low
+                path_at = i * size + low
+                if x == width - 1:
+                    s.least[i] = start_path(s.cost, cost_at, some, s.right, path_at)
+                else:
+                    edge = abs(np.int64(image[y, x]) - np.int64(image[y, x + 1]))
+                    given = (s.right, path_at, s.least[i], s.cost, cost_at, some)
+                    s.least[i] = path_step(*given, search.P1, search.P2[edge], s.right, path_at)
+                if diagonals:
+                    add_diagonals(s.down, y - top, s.up, y & _UP_MASK, x, s.totals[i])
+                down_at = middle * s.down[0].size + cost_at
+                up_at = (((middle if ups else 0) * _UP_ROWS + (y & _UP_MASK)) * width + x) * size + low
+                ways = (s.left, at, s.right, path_at, s.down, down_at, s.up, up_at)
+                s.least_totals[i] = add_paths(*ways, some, begin, end, diagonals, s.totals[i])
+            for i in range(rows):  # a loop of its own: what one row waits for, the others do meanwhile
+                if search.indices_only:
+                    output.indices[first + i, x] = low + first_of(s.totals[i], some, s.least_totals[i])
+                else:
+                    if not search.own_right:
+                        lower_right(s.totals[i], low, some, x, s.right_sums[i], s.right_indices[i])
+                    take_winner(s.totals[i], low, some, s.least_totals[i], x, s.winners[i])
+                    if search.edge_aware:
+                        s.sums_of_costs[i, x] = total_cost(s.cost, (costs + i * width + x) * size + low, some)
     if not search.indices_only:
         for y in range(first, last):
             winners = s.winners[y - first]
             _finish_row(winners, y, search, output)
             if search.edge_aware and search.uniqueness > 0:
-                _reject_alike(s.cost[y - top], winners[0], s.sums_of_costs[y - first], search, output.reasons[y])
+                sums = s.sums_of_costs[y - first]
+                row = output.margin[y], output.reasons[y]
+                _reject_alike(s.cost[y - top], winners[0], sums, windows, tile, search, *row)
             if search.own_right:
                 for x in range(width):
                     output.indices[y, x] = winners[0, x]
@@ -247,7 +279,16 @@ def _shift(n: int, directions: int) -> int:
 
 @compiled(allocates=False)
 def _step_rows(
-    y: int, before: int, image: U8, cost: U8, search: Search, paths: U8, at: int, at_before: int, least: U8
+    y: int,
+    before: int,
+    image: U8,
+    cost: U8,
+    windows: Windows,
+    search: Search,
+    paths: U8,
+    at: int,
+    at_before: int,
+    least: U8,
 ) -> None:
     """Vertical and diagonal paths of row y, after those of the row ``before``; they start if that is y itself.
 
@@ -257,7 +298,8 @@ def _step_rows(
     for n in range(directions):
         shift = _shift(n, directions) if before != y else image.shape[1]
         rows = image[y], image[before], shift, cost, search.P1, search.P2
-        step_row(*rows, paths[n, at_before], least[n, before & 1], paths[n, at], least[n, y & 1])
+        tiles = windows, y // TILE_ROWS, before // TILE_ROWS
+        step_row(*rows, paths[n, at_before], least[n, before & 1], paths[n, at], least[n, y & 1], *tiles)
 
 
 @compiled(allocates=False, inlined=False)
@@ -293,17 +335,17 @@ def _match_strip(
             add_prior_costs(prior, y, search.max_disparity, search.disparities, s.cost[y - base])
         for y in range(first, min(last, b)):
             at = y - base
-            _step_rows(y, max(y - 1, top), image, s.cost[at], search, s.down, at, at_before, s.least_down)
+            _step_rows(y, max(y - 1, top), image, s.cost[at], view.windows, search, s.down, at, at_before, s.least_down)
             at_before = at
         if first >= a and not upward:
-            _winners_rows(first, last, base, image, search, s, output)
+            _winners_rows(first, last, base, image, view.windows, search, s, output)
     ready = b
     for y in range(bottom - 1, a - 1 if upward else bottom, -1):
         before = min(y + 1, bottom - 1)
         at, at_before = y & _UP_MASK, before & _UP_MASK
-        _step_rows(y, before, image, s.cost[y - top], search, s.up, at, at_before, s.least_up)
+        _step_rows(y, before, image, s.cost[y - top], view.windows, search, s.up, at, at_before, s.least_up)
         if y == a or y == ready - _ROWS:
-            _winners_rows(y, ready, top, image, search, s, output)
+            _winners_rows(y, ready, top, image, view.windows, search, s, output)
             ready = y
 
 

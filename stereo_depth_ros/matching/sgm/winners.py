@@ -88,14 +88,14 @@ def add_paths(
     Args:
         left, right, down, up: uint8, paths from the left, the right, above and below, contiguous, K of them from the
             elements ``left_at`` to ``up_at`` on. There may be none from below.
-        size: K.
+        size: K, or that of the window.
         begin, end: indices inside the right image, end exclusive; others get ``NO_SUM``.
         diagonals: whether ``sums`` has those of other paths, which are added.
         sums: uint16 (2, K / 2), written.
     """
     none = repeat(NO_SUM)
     least = none
-    limited, upward, half = begin > 0 or end < size, up.size > 0, size // 2
+    limited, upward, half = begin > 0 or end < size, up.size > 0, sums.shape[1]
     inside = repeat(np.uint16(max(end - begin, 0)))
     for k in range(0, size, BYTES):
         at, other_at = k // 2, half + k // 2
@@ -117,10 +117,10 @@ def add_paths(
 
 
 @compiled(allocates=False)
-def first_of(sums: U16, least: np.uint16) -> int:
-    """The first index with the sum ``least``, which one has."""
+def first_of(sums: U16, size: int, least: np.uint16) -> int:
+    """The first of ``size`` indices with the sum ``least``, which one has."""
     wanted = repeat(least)
-    for k in range(0, sums.shape[1], WORDS):
+    for k in range(0, size // 2, WORDS):
         even = first_lane(equal(load(sums[0], k), wanted))
         odd = first_lane(equal(load(sums[1], k), wanted))
         if min(even, odd) < WORDS:
@@ -129,11 +129,11 @@ def first_of(sums: U16, least: np.uint16) -> int:
 
 
 @compiled(allocates=False)
-def second_of(sums: U16, best: int) -> np.uint16:
-    """The smallest sum at least two indices away from ``best``; ``NO_SUM`` if there is none."""
+def second_of(sums: U16, size: int, best: int) -> np.uint16:
+    """The smallest of ``size`` sums at least two indices away from ``best``; ``NO_SUM`` if there is none."""
     none, two = repeat(NO_SUM), repeat(_TWO)
     second = none
-    for k in range(0, sums.shape[1], WORDS):
+    for k in range(0, size // 2, WORDS):
         even = add(ramp(), repeat(np.uint16(2 * k + 1 - best)))  # distance from the index before the best
         odd = add(ramp(), repeat(np.uint16(2 * k + 2 - best)))
         second = minimum(second, where_less(two, even, load(sums[0], k), none))
@@ -142,23 +142,24 @@ def second_of(sums: U16, best: int) -> np.uint16:
 
 
 @compiled(allocates=False)
-def take_winner(sums: U16, least: np.uint16, x: int, winners: U16) -> None:
+def take_winner(sums: U16, first: int, size: int, least: np.uint16, x: int, winners: U16) -> None:
     """The winner of pixel x of a row: its index, its sum, the second best, and the sums of both neighbors.
 
     The values that follow from them are computed for a whole row, in one loop: a branch for each pixel would
     wait for its winner.
 
     Args:
+        sums: uint16 (2, K / 2), of ``size`` indices from ``first`` on.
         least: the smallest of the sums, inside the right image.
         winners: uint16 (5, W), written; ``NO_SUM`` for what does not exist.
     """
-    best = first_of(sums, least)
-    before, after = max(best - 1, 0), min(best + 1, 2 * sums.shape[1] - 1)
-    winners[0, x] = best
+    best = first_of(sums, size, least)
+    before, after = best - 1, best + 1
+    winners[0, x] = first + best
     winners[1, x] = least
-    winners[2, x] = second_of(sums, best)
-    winners[3, x] = sums[before & 1, before >> 1]
-    winners[4, x] = sums[after & 1, after >> 1]
+    winners[2, x] = second_of(sums, size, best)
+    winners[3, x] = sums[before & 1, before >> 1] if before >= 0 else NO_SUM
+    winners[4, x] = sums[after & 1, after >> 1] if after < size else NO_SUM
 
 
 @compiled(allocates=False)
@@ -188,8 +189,10 @@ def subpixel(before: np.uint16, here: np.uint16, after: np.uint16) -> float:
 
 
 @compiled(allocates=False)
-def lower_right(sums: U16, x: int, right_sums: U16, right_indices: U16) -> None:
+def lower_right(sums: U16, first: int, size: int, x: int, right_sums: U16, right_indices: U16) -> None:
     """Update the smallest sums of the right pixels, and their indices, with those of left pixel x.
+
+    There are ``size`` of them, from the even index ``first`` on.
 
     Pixels come from the right to the left, so that of equal sums the one of the smaller index was first and stays.
 
@@ -198,10 +201,11 @@ def lower_right(sums: U16, x: int, right_sums: U16, right_indices: U16) -> None:
         right_sums, right_indices: uint16 (2, (W + K) / 2 + 1), of right pixels, max_disparity columns further: those of
             even columns in row 0.
     """
-    same, other = x & 1, 1 - (x & 1)
-    for k in range(0, sums.shape[1], WORDS):
-        _lower(load(sums[0], k), np.uint16(2 * k), right_sums[same], right_indices[same], (x >> 1) + k)
-        _lower(load(sums[1], k), np.uint16(2 * k + 1), right_sums[other], right_indices[other], ((x + 1) >> 1) + k)
+    same, other, at = x & 1, 1 - (x & 1), x + first
+    for k in range(0, size // 2, WORDS):
+        index = first + 2 * k
+        _lower(load(sums[0], k), np.uint16(index), right_sums[same], right_indices[same], (at >> 1) + k)
+        _lower(load(sums[1], k), np.uint16(index + 1), right_sums[other], right_indices[other], ((at + 1) >> 1) + k)
 
 
 @compiled(allocates=False)
