@@ -16,10 +16,11 @@ from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config
-from stereo_depth_ros.core.errors import BagError, ImageError
+from stereo_depth_ros.core.errors import BagError, ImageError, OutputError
 from stereo_depth_ros.matching import MATCHERS
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
+from stereo_depth_ros.offline import engine
 from stereo_depth_ros.offline.engine import process_bag
 
 FRAMES = 3
@@ -49,6 +50,31 @@ def test_every_pair_gives_every_output_with_the_depth_of_the_truth(bags: tuple[P
     assert result.score.median_px < 0.25
     assert 0.3 < result.score.valid_fraction < 0.95
     assert {"rectify", "match", "depth"} <= set(result.stages_ms)
+
+
+def test_the_same_input_gives_the_same_bytes_however_the_steps_overlap(
+    bags: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = set()
+    for waiting in (1, 1, 3):
+        monkeypatch.setattr(engine, "_WAITING", waiting)
+        process_bag(BagSelection(bags[0]), bags[1], CONFIG, overwrite=True)
+        written.add(bags[1].read_bytes())
+    assert len(written) == 1
+
+
+def test_an_output_that_cannot_be_written_ends_the_run_and_leaves_nothing(
+    tmp_path: Path, bags: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = OutputError("cannot be written: the disk is full", subject="out.mcap", remedy="free space on the disk")
+
+    def write_raw(*_: object, **__: object) -> None:
+        raise full
+
+    monkeypatch.setattr(BagWriter, "write_raw", write_raw)
+    with pytest.raises(OutputError, match="disk is full"):
+        process_bag(BagSelection(bags[0]), tmp_path / "out.mcap", CONFIG)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_progress_counts_the_part_that_is_read(bags: tuple[Path, Path]) -> None:

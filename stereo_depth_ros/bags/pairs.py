@@ -189,6 +189,7 @@ class BagPairs:
     Args:
         selection: bag, topics and part of it.
         pairing: parameters of the pairing by stamp.
+        reader: of the bag, where it is open already; whoever opened it closes it.
 
     Attributes:
         topics: topics that are read.
@@ -207,17 +208,18 @@ class BagPairs:
         CalibrationError, MessageError: calibration files that are not those of its images.
     """
 
-    def __init__(self, selection: BagSelection, pairing: PairingConfig) -> None:
+    def __init__(self, selection: BagSelection, pairing: PairingConfig, reader: BagReader | None = None) -> None:
         self._selection = selection
         self._pairing_config = pairing
         self._types = RosbagsTypes()
-        self._reader = BagReader(selection.path)
+        self._owns_reader = reader is None
+        self._reader = reader or BagReader(selection.path)
         self._file_infos: dict[str, bytes] = {}
         try:
             self.topics, self._info_topics = self._find_topics()
             share, self.part = self._part()
         except StereoDepthError:
-            self._reader.close()
+            self.close()
             raise
         self._images = CameraImages(self._reader, self.topics)
         from_bag = self.topics.rectified and not selection.camera_files
@@ -227,6 +229,11 @@ class BagPairs:
         self.unpaired_left = self.unpaired_right = 0
         self.losses: tuple[str, ...] = ()
         self.unset: TopicError | None = None
+
+    @property
+    def path(self) -> Path:
+        """The bag."""
+        return self._selection.path
 
     @property
     def warning(self) -> str:
@@ -259,8 +266,9 @@ class BagPairs:
         self.losses = (*self._losses(pairing.counts, arrivals), *([str(stamped.error)] if stamped.error else []))
 
     def close(self) -> None:
-        """Close the bag."""
-        self._reader.close()
+        """Close the bag, unless it was open before."""
+        if self._owns_reader:
+            self._reader.close()
 
     def __enter__(self) -> BagPairs:
         return self

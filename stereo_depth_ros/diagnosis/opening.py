@@ -9,6 +9,7 @@ from pathlib import Path
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration
+from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.config import PairingConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import BagError, StereoDepthError
@@ -20,12 +21,15 @@ __all__ = ["no_pair_error", "open_selection", "skipped_text"]
 _ENOUGH = 2  # pairs that can be processed: where no image has a stamp there is one
 
 
-def open_selection(selection: BagSelection, pairing: PairingConfig) -> tuple[BagSelection, str]:
+def open_selection(
+    selection: BagSelection, pairing: PairingConfig, reader: BagReader | None = None
+) -> tuple[BagSelection, str]:
     """The selection of :func:`choose_topics`, some pair of which can be processed.
 
     Args:
         selection: bag, topics and part of it.
         pairing: parameters of the pairing by stamp.
+        reader: of the bag, where it is open already; it stays open.
 
     Returns:
         The selection, and a sentence where the topics that are best by name are not used; else an empty one.
@@ -34,10 +38,10 @@ def open_selection(selection: BagSelection, pairing: PairingConfig) -> tuple[Bag
         BagError, TopicError: no readable stereo bag, stamps that are not set, or no pair that can be processed.
         ConfigError: the part begins after the end of the bag.
     """
-    chosen, note = choose_topics(selection, pairing)
+    chosen, note = choose_topics(selection, pairing, reader)
     types, depth, refused, good = RosbagsTypes(), BitDepth(), dict[str, str](), 0
     rigs = PerCalibration(types, lambda rig: rig)
-    with BagPairs(chosen, pairing) as pairs:
+    with BagPairs(chosen, pairing, reader) as pairs:
         image_type = pairs.topics.image_type
         for pair in pairs.pairs():
             try:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import islice
 
@@ -24,7 +25,9 @@ __all__ = ["CHOICE_REMEDY", "choose_topics"]
 CHOICE_REMEDY = "record the camera infos that belong to the others, or name the topics"
 
 
-def choose_topics(selection: BagSelection, pairing: PairingConfig | None = None) -> tuple[BagSelection, str]:
+def choose_topics(
+    selection: BagSelection, pairing: PairingConfig | None = None, reader: BagReader | None = None
+) -> tuple[BagSelection, str]:
     """The selection with the names of its image topics, where the bag leaves a choice.
 
     Without a choice the selection is returned as it is. The topics that are best by name are used unless their first
@@ -35,6 +38,7 @@ def choose_topics(selection: BagSelection, pairing: PairingConfig | None = None)
     Args:
         selection: the bag, and the part of it that is examined.
         pairing: parameters of the pairing by stamp; None is the default.
+        reader: of the bag, where it is open already; it stays open.
 
     Returns:
         The selection, and a sentence where the best by name is not used; else an empty one.
@@ -42,9 +46,9 @@ def choose_topics(selection: BagSelection, pairing: PairingConfig | None = None)
     Raises:
         BagError: not a readable bag.
     """
-    with BagReader(selection.path) as reader:
+    with BagReader(selection.path) if reader is None else nullcontext(reader) as bag:
         try:
-            found = bag_candidates(reader, selection.left, selection.right, side_by_side=selection.side_by_side)
+            found = bag_candidates(bag, selection.left, selection.right, side_by_side=selection.side_by_side)
         except TopicError:  # whoever reads the bag reports it
             return selection, ""
     best = found[0]

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from stereo_depth_ros.evaluation.metrics import DisparityErrors, disparity_error
 from stereo_depth_ros.messages.disparity import published_disparity
 from stereo_depth_ros.messages.types import stamp_ns
 
-__all__ = ["TRUTH_TOPIC", "BagScore", "score_disparity"]
+__all__ = ["TRUTH_TOPIC", "BagScore", "score_disparity", "untrue_score"]
 
 TRUTH_TOPIC = "/truth/disparity"
 
@@ -65,6 +65,15 @@ def score_disparity(path: Path, truth: Path, topic: str = "/disparity") -> BagSc
             known = next(truths, None)
         if known is not None and known[0] == stamp:
             errors.append(disparity_errors(disparity_px, known[1]))
+    return _score(valid, errors)
+
+
+def untrue_score(valid_fractions: Sequence[float]) -> BagScore:
+    """The score without true disparities, from the valid fraction of each frame."""
+    return _score(valid_fractions, ())
+
+
+def _score(valid: Sequence[float], errors: Sequence[DisparityErrors]) -> BagScore:
     return BagScore(
         frames=len(valid),
         valid_fraction=_mean(valid),
@@ -85,5 +94,5 @@ def _disparities(path: Path, topic: str) -> Iterator[tuple[int, F32]]:
                 yield stamp_ns(image.header), published_disparity(image, topic)
 
 
-def _mean(values: list[float]) -> float:
+def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values)) if values else float("nan")

@@ -1,38 +1,44 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes a bag without a ROS graph, with the pairs, pipeline and message bytes of the live nodes."""
+"""Processes a bag without a ROS graph, with the pairs, pipeline and message bytes of the live nodes.
+
+A thread reads and decodes pairs, the calling one matches them with all cores, and another one makes, serializes,
+compresses and writes their messages: each works on a pair of its own, and the order of the pairs stays.
+"""
 
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagPairs, BagSelection, PerCalibration, SerializedPair
 from stereo_depth_ros.bags.projected_sweeps import ProjectedSweeps, SensorTopic
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
-from stereo_depth_ros.bags.topics import INFO_TYPE
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig, ViewConfig
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import CameraOrderError, OutputError, StereoDepthError
+from stereo_depth_ros.core.prior import DisparityPrior
 from stereo_depth_ros.core.rig import StereoRig
+from stereo_depth_ros.core.side_threads import ReadAhead, WriteBehind
+from stereo_depth_ros.core.types import StereoPair
 from stereo_depth_ros.diagnosis.opening import no_pair_error, open_selection, skipped_text
-from stereo_depth_ros.evaluation.bag_score import score_disparity
+from stereo_depth_ros.evaluation.bag_score import TRUTH_TOPIC, score_disparity
 from stereo_depth_ros.offline.examined_pipelines import ExaminedPipelines
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
-from stereo_depth_ros.outputs import MORE_OUTPUTS, OUTPUTS, ResultMessages
+from stereo_depth_ros.offline.result_writer import ResultWriter
+from stereo_depth_ros.outputs import MORE_OUTPUTS, OUTPUTS
 from stereo_depth_ros.pipeline import StereoResult
-from stereo_depth_ros.views.result_frames import ResultFrames
-from stereo_depth_ros.views.topics import ViewMessages
 
 __all__ = ["process_bag"]
+
+_WAITING = 2  # pairs that wait between two steps: memory does not grow with the bag
 
 
 def process_bag(
@@ -73,129 +79,172 @@ def process_bag(
         ConfigError: parameters that contradict each other.
     """
     check_bag_output(output, bag_files(selection.path), overwrite=overwrite)
-    refused: dict[str, str] = {}
-    stages_ms: dict[str, list[float]] = defaultdict(list)
-    engine = _Engine(config, views, each, also)
-    selection, choice = open_selection(selection, config.pairing)
-    with BagPairs(selection, config.pairing) as pairs, BagReader(selection.path) as reader:
+    rows = (*OUTPUTS, *(row for row in MORE_OUTPUTS if row.topic in also))
+    with BagReader(selection.path) as reader:
+        selection, choice = open_selection(selection, config.pairing, reader)
+        pairs = BagPairs(selection, config.pairing, reader)
         sweeps = None if prior is None else ProjectedSweeps(reader, prior, pairs.rectified_info)
         with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
-            start, warm_up_s, sent, skipped = time.perf_counter(), 0.0, 0, 0
-            for sent, pair in enumerate(pairs.pairs(), start=1):
-                try:
-                    timings_ms = engine.process(pair, pairs.topics.image_type, writer, sweeps)
-                except CameraOrderError as error:  # of the pairs before it too, which showed too little
-                    raise error.about(selection.path) from error
-                except OutputError:
-                    raise
-                except StereoDepthError as error:
-                    skipped += 1
-                    refused.setdefault(type(error).__name__, skipped_text(pair.stamp_ns, error))
-                else:
-                    for stage, ms in timings_ms.items():
-                        stages_ms[stage].append(ms)
-                _refuse(engine.fault, selection.path, strict)
-                warm_up_s = warm_up_s or time.perf_counter() - start
-                progress(sent, max(sent, pairs.count))
-            wall_s = time.perf_counter() - start
-            engine.finish()
-            _refuse(engine.fault, selection.path, strict)
-            if engine.rig is None or not writer.message_count:
-                raise no_pair_error(pairs, selection.path, refused.values())
-            writer.write_metadata("stereo_depth_ros", provenance(config, engine.rig, bag=selection.path))
+            results = ResultWriter(writer, rows, views, each)
+            run = _Run(config, pairs, sweeps, results)
+            wall_s, warm_up_s = run.compute_all(progress, strict)
+            if run.rig is None or not writer.message_count:
+                raise no_pair_error(pairs, selection.path, run.refused)
+            writer.write_metadata("stereo_depth_ros", provenance(config, run.rig, bag=selection.path))
+        has_truth = TRUTH_TOPIC in reader.topics
         return RunReport(
             bag=selection.path,
             output=output,
-            pairs=sent,
+            pairs=run.sent,
             unpaired_left=pairs.unpaired_left,
             unpaired_right=pairs.unpaired_right,
             outputs={},
-            skipped=skipped,
+            skipped=run.skipped,
             wall_s=wall_s,
             warm_up_s=warm_up_s,
-            stages_ms={stage: (percentile(times, 50), percentile(times, 95)) for stage, times in stages_ms.items()},
-            score=score_disparity(output, selection.path),
+            stages_ms={name: (percentile(ms, 50), percentile(ms, 95)) for name, ms in results.stages_ms.items()},
+            score=score_disparity(output, selection.path) if has_truth else results.score,
             warnings=(
                 *(text for text in (choice, pairs.warning) if text),
                 *pairs.losses,
-                *refused.values(),
-                *([str(engine.fault)] if engine.fault else []),
+                *run.refused,
+                *([str(run.fault)] if run.fault else []),
                 *(f"without a prior: {text}" for text in ([] if sweeps is None else sweeps.left_out)),
             ),
         )
 
 
-def _refuse(fault: StereoDepthError | None, bag: Path, strict: bool) -> None:
-    if fault is not None and (strict or isinstance(fault, CameraOrderError)):
-        raise fault.about(bag)
+@dataclass(frozen=True)
+class _ReadPair:
+    """A pair that has been read.
+
+    Attributes:
+        number: of the pair, from 1.
+        serialized: its messages.
+        images, rig, prior: what is computed from; None where ``error`` says why it cannot be.
+        prior_ms: milliseconds that the prior took; None without a range sensor.
+    """
+
+    number: int
+    serialized: SerializedPair
+    images: StereoPair | None = None
+    rig: StereoRig | None = None
+    prior: DisparityPrior | None = None
+    prior_ms: float | None = None
+    error: StereoDepthError | None = None
 
 
-class _Engine:
-    """Computes serialized pairs and writes their messages.
+class _Run:
+    """The pairs of a bag through the three steps.
 
     Attributes:
         rig: of the last pair.
+        sent: pairs so far.
     """
 
     def __init__(
-        self,
-        config: PipelineConfig,
-        views: Mapping[str, ViewConfig],
-        each: Callable[[StereoResult], None],
-        also: Sequence[str],
+        self, config: PipelineConfig, pairs: BagPairs, sweeps: ProjectedSweeps | None, results: ResultWriter
     ) -> None:
         self._types = RosbagsTypes()
-        self._rows = (*OUTPUTS, *(row for row in MORE_OUTPUTS if row.topic in also))
-        self._each = each
-        self._views = views
-        self._frames, self._view_messages = ResultFrames(), ViewMessages(self._types)
-        self._messages = ResultMessages(self._types)
-        self._rigs = PerCalibration(self._types, lambda rig: rig)
+        self._pairs, self._sweeps, self._results = pairs, sweeps, results
         self._pipelines = ExaminedPipelines(config)
-        self._depth = BitDepth()
+        self._refused: list[tuple[int, str, str]] = []  # number of the pair, kind of the error, text
         self.rig: StereoRig | None = None
+        self.sent = 0
 
     @property
     def fault(self) -> StereoDepthError | None:
         """What the first pairs show."""
         return self._pipelines.fault
 
-    def process(
-        self, pair: SerializedPair, image_type: str, writer: BagWriter, sweeps: ProjectedSweeps | None
-    ) -> dict[str, float]:
-        """Compute a pair and write its messages; returns milliseconds per stage."""
-        rig = self._rigs.of(pair, image_type)
-        prior, prior_ms = None, 0.0
-        if sweeps is not None:
-            start = time.perf_counter()
-            project_sweep = sweeps.of(pair.stamp_ns, lambda: rig)
-            prior = None if project_sweep is None else project_sweep().prior
-            prior_ms = 1e3 * (time.perf_counter() - start)
-        result = self._pipelines.compute(pair.images(self._types, image_type, rig, self._depth), rig, prior)
-        if sweeps is not None:
-            result.timings_ms["prior"] = prior_ms
-        self.rig = result.calibrated_rig
-        writer.write_raw("/left/camera_info", INFO_TYPE, pair.left_info, pair.stamp_ns)
-        writer.write_raw("/right/camera_info", INFO_TYPE, pair.right_info, pair.right_stamp_ns)
-        for topic, message in self._outputs(result):
-            writer.write(topic, message, result.stamp_ns)
-        self._each(result)
-        return result.timings_ms
+    @property
+    def skipped(self) -> int:
+        """Pairs so far that could not be processed."""
+        return len(self._refused)
 
-    def finish(self) -> None:
-        """No more pair comes."""
+    @property
+    def refused(self) -> list[str]:
+        """The first error of each kind, in the order of the pairs."""
+        first: dict[str, str] = {}
+        for _, kind, text in sorted(self._refused):
+            first.setdefault(kind, text)
+        return [*first.values()]
+
+    def compute_all(self, progress: Callable[[int, int], None], strict: bool) -> tuple[float, float]:
+        """All pairs; returns the seconds that they took, and of these the seconds until the first one was computed."""
+        start, warm_up_s = time.perf_counter(), 0.0
+        with (
+            ReadAhead(self._read(), _WAITING, "read pairs") as read,
+            WriteBehind(self._write, _WAITING, "write results") as written,
+        ):
+            for pair in read:
+                self.sent = pair.number
+                result = self._compute(pair)
+                if result is not None:
+                    written.put((pair, result))
+                self._refuse_fault(strict)
+                warm_up_s = warm_up_s or time.perf_counter() - start
+                progress(self.sent, max(self.sent, self._pairs.count))
+                del pair, result  # they hold images
+        wall_s = time.perf_counter() - start
         self._pipelines.finish()
+        self._refuse_fault(strict)
+        return wall_s, warm_up_s
 
-    def _outputs(self, result: StereoResult) -> Iterator[tuple[str, Any]]:
-        for topic, _, build in self._rows:
-            start = time.perf_counter()
-            message = build(self._messages, result)
-            result.timings_ms[f"make {topic}"] = 1e3 * (time.perf_counter() - start)
-            yield f"/{topic}", message
-        frame = self._frames.of(result) if self._views else None
-        for topic, config in self._views.items():
-            assert frame is not None  # there are views
-            start = time.perf_counter()
-            message = self._view_messages.build(topic, frame, config)
-            result.timings_ms[f"make {topic}"] = 1e3 * (time.perf_counter() - start)
-            yield f"/{topic}", message
+    def _refuse_fault(self, strict: bool) -> None:
+        if self.fault is not None and (strict or isinstance(self.fault, CameraOrderError)):
+            raise self.fault.about(self._pairs.path)
+
+    def _skip(self, pair: _ReadPair, error: StereoDepthError) -> None:
+        text = skipped_text(pair.serialized.stamp_ns, error)
+        self._refused.append((pair.number, type(error).__name__, text))
+
+    def _read(self) -> Iterator[_ReadPair]:
+        """The pairs, decoded; in the thread that reads."""
+        rigs, depth = PerCalibration(self._types, lambda rig: rig), BitDepth()
+        image_type = self._pairs.topics.image_type
+        for number, pair in enumerate(self._pairs.pairs(), start=1):
+            try:
+                rig = rigs.of(pair, image_type)
+                prior, prior_ms = self._prior(pair, rig)
+                images = pair.images(self._types, image_type, rig, depth)
+            except StereoDepthError as error:
+                yield _ReadPair(number, pair, error=error)
+            else:
+                yield _ReadPair(number, pair, images, rig, prior, prior_ms)
+
+    def _prior(self, pair: SerializedPair, rig: StereoRig) -> tuple[DisparityPrior | None, float | None]:
+        if self._sweeps is None:
+            return None, None
+        start = time.perf_counter()
+        project_sweep = self._sweeps.of(pair.stamp_ns, lambda: rig)
+        prior = None if project_sweep is None else project_sweep().prior
+        return prior, 1e3 * (time.perf_counter() - start)
+
+    def _compute(self, pair: _ReadPair) -> StereoResult | None:
+        """The result of a pair; None for one that is skipped."""
+        if pair.error is not None:
+            self._skip(pair, pair.error)
+            return None
+        assert pair.images is not None and pair.rig is not None  # there is no error
+        try:
+            result = self._pipelines.compute(pair.images, pair.rig, pair.prior)
+            self.rig = result.calibrated_rig
+        except CameraOrderError as error:  # of the pairs before it too, which showed too little
+            raise error.about(self._pairs.path) from error
+        except StereoDepthError as error:
+            self._skip(pair, error)
+            return None
+        if pair.prior_ms is not None:
+            result.timings_ms["prior"] = pair.prior_ms
+        return result
+
+    def _write(self, item: tuple[_ReadPair, StereoResult]) -> None:
+        """Write the messages of a pair; in the thread that writes."""
+        pair, result = item
+        try:
+            self._results.write(pair.serialized, result)
+        except OutputError:
+            raise
+        except StereoDepthError as error:
+            self._skip(pair, error)
