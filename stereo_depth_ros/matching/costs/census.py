@@ -58,6 +58,7 @@ CENSUS_BITS = len(NEIGHBORS)
 CENSUS_PLANES = CENSUS_BITS // 8
 GRAY, CAP = CENSUS_PLANES, CENSUS_PLANES + 1  # planes after those of the codes
 PLANES = CENSUS_PLANES + 2
+_WINDOW_ROWS = 2 * RADIUS_Y + 1
 MARGIN = BYTES  # columns before and after the image, so that vectors may begin before it and end behind it
 NEUTRAL_COST = np.uint8(CENSUS_BITS // 2)  # average cost of unrelated pixels
 LARGEST_COST = np.uint8(255)  # of the disparities that only fill a vector: they never win
@@ -80,7 +81,7 @@ def empty_census(*shape: int) -> U8:
 
 
 @compiled(allocates=False)
-def _code_vector(window: U8, x: int, codes: U8) -> None:
+def _code_vector(window: tuple[U8, ...], x: int, codes: U8) -> None:
     """Codes of a vector of pixels from column x on, and what goes with them, of the rows around them."""
     nothing, bit_set = repeat(_NOTHING), repeat(_ONE)
     center = load(window[RADIUS_Y], x + RADIUS_X)
@@ -116,15 +117,24 @@ def census_rows(first: int, last: int, image: U8, codes: U8) -> None:
             What is in the margins afterwards is not defined.
     """
     height, width = image.shape
-    window = np.zeros((2 * RADIUS_Y + 1, width + 2 * RADIUS_X + BYTES), np.uint8)
-    for y in range(first, last):
-        for j in range(2 * RADIUS_Y + 1):
-            row = image[min(max(y + j - RADIUS_Y, 0), height - 1)]
-            window[j, :RADIUS_X] = row[0]
-            window[j, RADIUS_X : RADIUS_X + width] = row
-            window[j, RADIUS_X + width : 2 * RADIUS_X + width] = row[width - 1]
-        for x in range(0, width, BYTES):
-            _code_vector(window, x, codes[y])
+    rows = np.zeros((_WINDOW_ROWS, width + 2 * RADIUS_X + BYTES), np.uint8)  # row y is at y % _WINDOW_ROWS
+    for y in range(first - RADIUS_Y, last + RADIUS_Y):
+        row, copy = image[min(max(y, 0), height - 1)], rows[y % _WINDOW_ROWS]
+        copy[:RADIUS_X] = row[0]
+        copy[RADIUS_X : RADIUS_X + width] = row
+        copy[RADIUS_X + width : 2 * RADIUS_X + width] = row[width - 1]
+        middle = y - RADIUS_Y
+        if middle >= first:
+            top = middle - RADIUS_Y
+            window = (
+                rows[top % _WINDOW_ROWS],
+                rows[(top + 1) % _WINDOW_ROWS],
+                rows[(top + 2) % _WINDOW_ROWS],
+                rows[(top + 3) % _WINDOW_ROWS],
+                rows[(top + 4) % _WINDOW_ROWS],
+            )
+            for x in range(0, width, BYTES):
+                _code_vector(window, x, codes[middle])
 
 
 @compiled(allocates=False)

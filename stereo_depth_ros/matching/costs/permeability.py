@@ -46,7 +46,7 @@ DOWN_GAIN = 0.5  # of those after the one along y: half bits
 _FINE = np.uint16(16)  # costs in sums: with LARGEST they stay below 16 bits
 _WHOLE = 65536.0
 _TYPICAL = np.uint8(12 * ALONG_GAIN)  # what disparities cost that are not searched
-_AT_ONCE = 16  # rows whose weights are summed in a vector
+_AT_ONCE = 8  # rows whose weights are summed in a vector
 
 
 def permeabilities() -> U16:
