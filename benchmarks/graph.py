@@ -53,6 +53,7 @@ NODES = {
     "fused": ("stereo_depth_node",),
     "separate": ("rectify_node", "disparity_node", "point_cloud_node"),
 }
+QUALITIES = {"sgm": "default", "sgm-fast": "fast", "sgm-best": "best"}
 TIMEOUT_S = 20.0
 
 
@@ -78,7 +79,7 @@ class Row:
 
     def __str__(self) -> str:
         return (
-            f"{self.size:>14} {self.matcher:>5} {self.shape:>9} {self.kernels_ms:11.1f} {self.latency_ms:11.1f} "
+            f"{self.size:>14} {self.matcher:>8} {self.shape:>9} {self.kernels_ms:11.1f} {self.latency_ms:11.1f} "
             f"{self.p95_ms:8.1f} {self.latency_ms / self.kernels_ms:6.2f} {self.disparity_ms:13.1f} {self.fps:9.1f} "
             f"{self.fps * self.kernels_ms / 1e3:10.2f} {self.overlapped_ms:13.1f} {self.lost:5d}"
         )
@@ -203,8 +204,8 @@ def bare_kernels(pair: StereoPair, matcher: str, disparities: int) -> Callable[[
 
 def _bare_matcher(matcher: str, disparities: int, disparity_x16: I16) -> Callable[[U8, U8], object]:
     """The matcher of OpenCV if it has one, with the default parameters of the nodes."""
-    if matcher == "sgm":
-        return create_matcher("sgm", num_disparities=disparities).match
+    if matcher in QUALITIES:
+        return create_matcher("sgm", num_disparities=disparities, quality=QUALITIES[matcher]).match
     stereo = _opencv_matcher(matcher, disparities)
     return lambda left, right: stereo.compute(left, right, disparity_x16)
 
@@ -225,7 +226,9 @@ def _opencv_matcher(matcher: str, disparities: int) -> cv2.StereoMatcher:
 @contextmanager
 def graph_processes(shape: str, matcher: str, disparities: int) -> Iterator[list[subprocess.Popen[bytes]]]:
     """The nodes of a shape, one process each."""
-    parameters = {"stereo_algorithm": list(MATCHERS).index(matcher), "disparity_range": disparities}
+    name = "sgm" if matcher in QUALITIES else matcher
+    parameters: dict[str, object] = {"stereo_algorithm": list(MATCHERS).index(name), "disparity_range": disparities}
+    parameters |= {"quality": QUALITIES.get(matcher, "default")}
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
     processes = [
         subprocess.Popen([sys.executable, "-m", f"stereo_depth_ros.nodes.{node}", "--ros-args", *arguments])
@@ -323,7 +326,7 @@ def main() -> None:
         "--in-flight", type=int, default=3, help="pairs processed at the same time when measuring the maximum rate"
     )
     parser.add_argument("--shapes", nargs="+", default=list(NODES), choices=list(NODES))
-    parser.add_argument("--matchers", nargs="+", default=["bm", "sgbm", "sgm"], choices=["bm", "sgbm", "sgm"])
+    parser.add_argument("--matchers", nargs="+", default=["bm", "sgbm", "sgm"], choices=["bm", "sgbm", *QUALITIES])
     parser.add_argument("--sizes", nargs="+", type=int, default=[0, 1], choices=[0, 1])
     parser.add_argument("--typed", action="store_true", help="receive deserialized messages instead of bytes")
     options = parser.parse_args()
