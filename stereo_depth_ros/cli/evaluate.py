@@ -85,8 +85,9 @@ def evaluate(
 ) -> None:
     """Compare the disparities of matchers with ground truth, and measure their computing time.
 
-    DIR is a Middlebury scene of 2001 to 2014, an ETH3D two-view scene or a KITTI stereo training folder, or a folder
-    that contains such folders up to two levels down; no calibration is needed. BAG contains /truth/disparity, as
+    DIR is a Middlebury scene of 2001 to 2021, an ETH3D two-view scene, a KITTI stereo training folder or one of
+    DrivingStereo, Sintel stereo or TartanAir, or a folder that contains such folders up to two levels down; no
+    calibration is needed. BAG contains /truth/disparity, as
     written by `convert` and `synthesize`, or the topic of a range sensor that --truth names: its points are projected
     into the left image, without those that the camera does not see, see docs/range_sensor.md.
 

@@ -105,6 +105,25 @@ def read_level_image(path: Path, kind: str) -> npt.NDArray[Any]:
     return image
 
 
+def read_channels(path: Path, count: int) -> U8:
+    """The bytes of an image of 8 bits and some channels, uint8 (H, W, count), blue first.
+
+    Raises:
+        BagError: not a readable image of so many channels.
+    """
+    image = _read(path, cv2.IMREAD_UNCHANGED)
+    found = 1 if image.ndim == 2 else image.shape[2]
+    if found != count or image.dtype != np.uint8:
+        raise BagError(
+            f"has {found} channel(s) of {image.dtype}, {count} of uint8 are expected",
+            subject=str(path),
+            value=(found, str(image.dtype)),
+            limit=count,
+            remedy="copy it again",
+        )
+    return np.asarray(image, np.uint8)
+
+
 def _read(path: Path, flags: int) -> npt.NDArray[Any]:
     content = read_bytes(path, BagError, "check the path", MAX_BYTES)
     header = read_file_header(content)

@@ -20,6 +20,7 @@ from stereo_depth_ros.core.types import F32, U8
 from stereo_depth_ros.datasets.image_files import list_images, read_disparity_image, read_image
 from stereo_depth_ros.datasets.kitti import read_truth
 from stereo_depth_ros.datasets.middlebury_scene import MiddleburyScene
+from stereo_depth_ros.datasets.truth_folders import TruthPair, truth_pairs
 from stereo_depth_ros.evaluation.occlusion import visible_pixels
 from stereo_depth_ros.matching.protocol import Images
 
@@ -116,7 +117,8 @@ def make_scene(
 def find_scenes(folder: Path) -> list[SceneSource]:
     """The scenes with truth in a folder of a dataset, or in its folders one or two levels down.
 
-    These are Middlebury scenes of 2001 to 2014, ETH3D two-view scenes and training pairs of KITTI stereo.
+    These are Middlebury scenes of 2001 to 2021, ETH3D two-view scenes, training pairs of KITTI stereo, and pairs of
+    DrivingStereo, Sintel stereo and TartanAir.
 
     Raises:
         BagError: no scenes with truth.
@@ -130,8 +132,8 @@ def find_scenes(folder: Path) -> list[SceneSource]:
             "has no scene with truth, neither have its folders one and two levels down",
             subject=str(folder),
             value=0,
-            remedy="name a Middlebury, ETH3D or KITTI stereo training folder with its disparities, or a bag with "
-            "/truth/disparity",
+            remedy="name a folder of Middlebury, ETH3D, KITTI stereo (training), DrivingStereo, Sintel stereo or "
+            "TartanAir with its disparities or depth, or a bag with /truth/disparity",
         )
     return found
 
@@ -149,6 +151,14 @@ def _scenes_of(folder: Path) -> list[SceneSource]:
                 )
                 for path in list_images(folder / truth)
             ]
+    if pairs := truth_pairs(folder):
+        name = folder.resolve().name
+        return [
+            SceneSource(
+                f"{name}/{pair.name}", partial(_load_pair, pair), (pair.left, pair.right, pair.truth, *pair.hidden)
+            )
+            for pair in pairs
+        ]
     try:
         scene = MiddleburyScene(folder)
     except BagError:
@@ -162,6 +172,12 @@ def _load_middlebury(scene: MiddleburyScene) -> Scene:
     truth_px = scene.truth()
     assert truth_px is not None  # only scenes with truth are listed
     return make_scene(_gray(scene.left_path), _gray(scene.right_path), truth_px, scene.visible())
+
+
+def _load_pair(pair: TruthPair) -> Scene:
+    masks = [np.equal(_gray(path), 0) for path in pair.hidden]
+    visible = np.logical_and.reduce(masks) if masks else None
+    return make_scene(_gray(pair.left), _gray(pair.right), pair.read(pair.truth), visible)
 
 
 def _load_kitti(folders: tuple[Path, Path, Path, Path], name: str) -> Scene:
