@@ -38,7 +38,9 @@ def test_folders_are_searched_two_levels_down_and_scenes_without_truth_skipped(t
     write_scene(tmp_path / "too" / "deep" / "down")
     (write_scene(tmp_path / "blind") / "disp0.pfm").unlink()
     assert [source.name for source in find_scenes(tmp_path)] == ["b", "a"]
-    with pytest.raises(BagError, match=r"blind: has no scene with truth, .* two levels down: name a folder of Middlebury"):
+    with pytest.raises(
+        BagError, match=r"blind: has no scene with truth, .* two levels down: name a folder of Middlebury"
+    ):
         find_scenes(tmp_path / "blind")
 
 

@@ -151,8 +151,8 @@ def test_a_changed_scene_is_searched_as_a_whole() -> None:
     again, other = (made(search_prior="previous") for _ in range(2))
     for pair in (first, first, second, first):
         assert same(again.match(*pair[:2]), other.match(*pair[:2]))
-    small = [np.ascontiguousarray(image[:60]) for image in first[:2]]
-    assert same(again.match(*small), made().match(*small))  # another size
+    left, right = (np.ascontiguousarray(image[:60]) for image in first[:2])
+    assert same(again.match(left, right), made().match(left, right))  # another size
 
 
 def test_a_range_of_one_vector_is_searched_as_a_whole() -> None:

@@ -19,7 +19,7 @@ from stereo_depth_ros.evaluation.scenes import Scene, find_scenes
 
 HEIGHT, WIDTH = 40, 90
 RNG = np.random.default_rng(8)
-IMAGES: tuple[U8, U8] = tuple(RNG.integers(0, 256, (2, HEIGHT, WIDTH, 3), np.uint8))  # type: ignore[assignment]
+IMAGES: tuple[U8, U8] = tuple(RNG.integers(0, 256, (2, HEIGHT, WIDTH, 3), np.uint8))
 TRUTH: F32 = RNG.uniform(0.5, 30, (HEIGHT, WIDTH)).astype(np.float32)
 UNKNOWN = RNG.uniform(size=(HEIGHT, WIDTH)) < 0.2
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 import functools
 import io
+import statistics
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -35,6 +36,7 @@ from stereo_depth_ros.evaluation.evaluator import Evaluation
 from stereo_depth_ros.evaluation.evaluator import evaluate as evaluate_matcher
 from stereo_depth_ros.evaluation.plausibility import check_plausible
 from stereo_depth_ros.evaluation.scenes import Scene, SceneSet, SceneSource, find_scenes
+from stereo_depth_ros.evaluation.submission import find_submitted, submit
 from stereo_depth_ros.evaluation.truth import TruthOption
 from stereo_depth_ros.files.output import check_outputs, write_file
 from stereo_depth_ros.matching import create_matcher
@@ -81,6 +83,12 @@ def evaluate(
         Path | None,
         typer.Option(metavar="DIR", help="Plot truth, disparities, errors, reasons and confidence of scenes."),
     ] = None,
+    submission: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Write disparities of all pairs, with and without truth, as the benchmark takes them."
+        ),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Compare the disparities of matchers with ground truth, and measure their computing time.
@@ -98,6 +106,11 @@ def evaluate(
 
     With --prior the matcher sgm is guided by the points of another range sensor.
 
+    With --submission the pairs of KITTI stereo, Middlebury and ETH3D, those of test sets too, are matched with the
+    range of their calib.txt, or that of disparity_range, and written in the files of their benchmarks: PNG in disp_0,
+    or PFM with the time. Pixels without a disparity are 0, which KITTI interpolates, or infinite; fill_holes leaves
+    none.
+
     A median signed error that is large against the spread of the errors is named: the disparities are shifted.
 
     Pixels near depth edges and on thin structures, where stereo is hardest, have figures of their own.
@@ -113,6 +126,7 @@ def evaluate(
       stereo-depth evaluate middlebury eth3d --matcher bm --matcher sgbm --json scores.json --plots out
       stereo-depth evaluate room.mcap --matcher sgbm --param disparity_range:=128 --param P1:=100
       stereo-depth evaluate drive.mcap --matcher sgm --truth /velodyne_points
+      stereo-depth evaluate MiddEval3/testH --matcher sgm --param fill_holes:=true --submission results
     """
     values = given_parameters(param or (), matcher, stages=("matching",))
     _check_options(matcher, plots, csv_file)
@@ -125,6 +139,11 @@ def evaluate(
         raise ConfigError(
             f"--prior and --truth are both {prior}", value=prior, remedy="compare with another sensor, or leave one out"
         )
+    if submission is not None:
+        _submit(places, matcher, config, "disparity_range" in values, submission, overwrite)
+        places = [place for place in places if _has_truth(place)]
+        if not places:
+            return
     files = rig_file_paths(camera_info) if camera_info else []
     sensor = None if prior is None else SensorTopic(prior, extrinsics)
     option = TruthOption(truth, extrinsics)
@@ -150,6 +169,34 @@ def evaluate(
     if skipped:
         tell(f"error: {len(skipped)} skipped: see the warnings above")
         raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def _submit(
+    places: list[Path], matchers: list[str], config: MatchingConfig, given: bool, folder: Path, overwrite: bool
+) -> None:
+    """Write the files of a submission."""
+    refuse_files("--submission", folder)
+    if len(matchers) > 1:
+        raise ConfigError(
+            f"--submission takes one matcher, {len(matchers)} are given", value=matchers, limit=1, remedy="name one"
+        )
+    pairs = [pair for place in places for pair in find_submitted(place)]
+    outputs = [path for pair in pairs for path in pair.files(folder, matchers[0])]
+    inputs = [path for pair in pairs for path in (pair.left, pair.right, pair.calibration) if path is not None]
+    check_outputs(outputs, inputs, overwrite=overwrite)
+    seconds = []
+    with progress_bar("matching") as progress:
+        for number, pair in enumerate(pairs):
+            progress(number, len(pairs))
+            seconds.append(submit(pair, folder, matchers[0], config, given, overwrite=overwrite))
+    tell(f"{folder}: {len(outputs)} files of {len(pairs)} pairs, {1e3 * statistics.median(seconds):.1f} ms a pair")
+
+
+def _has_truth(place: Path) -> bool:
+    try:
+        return bool(find_scenes(place))
+    except BagError:
+        return False
 
 
 def _check_options(matchers: list[str], plots: Path | None, csv_file: Path | None) -> None:
