@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from camera_file_texts import SIZE, camchain, truth
 
 from stereo_depth_ros.bags.info import inspect_bag
 from stereo_depth_ros.bags.reader import BagReader
@@ -371,6 +372,26 @@ def test_euroc(tmp_path: Path) -> None:
     assert dataset.rig.baseline_m == pytest.approx(0.2)
     np.testing.assert_allclose(dataset.rig.left.D, [-0.02, 0.01, 0, 0])
     assert dataset.rig.left.K[0, 2] == 20.25
+
+
+@pytest.mark.parametrize("place", ["dso/camchain.yaml", "mav0/dso/camchain.yaml", "camchain-imucam.yaml"])
+def test_tum_vi(place: str, tmp_path: Path) -> None:
+    folder, rig = make_euroc(tmp_path), truth("equidistant")
+    for camera in ("cam0", "cam1"):
+        (folder / "mav0" / camera / "sensor.yaml").unlink()
+        for path in (folder / "mav0" / camera / "data").glob("*.png"):
+            cv2.imwrite(str(path), np.full(SIZE[::-1], 257 * int(path.stem), np.uint16))  # 16 bits
+    (folder / place).parent.mkdir(exist_ok=True)
+    (folder / place).write_text(camchain(rig, "equidistant", pose="T_cam_imu"))
+    dataset = EurocDataset(folder)
+    assert folder / place in dataset.files
+    np.testing.assert_allclose(dataset.rig.left.D, rig.D_left[:4])
+    assert dataset.rig.left.distortion_model == "equidistant"
+    assert dataset.rig.baseline_m == pytest.approx(np.linalg.norm(rig.T))
+    assert [(f.left.stamp_ns, int(f.left.pixels[0, 0])) for f in dataset] == [(10, 10), (30, 30)]
+    (folder / place).write_text("cam0: 1\n")
+    with pytest.raises(BagError, match=r"camchain.*is not a camchain of Kalibr"):
+        EurocDataset(folder)
 
 
 def test_euroc_folders_that_lack_something(tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ _LINES = (
         "The default: semi-global matching of census costs (Hirschmueller 2008), 3, 4 or 8 paths, sub-pixel.",
         (
             *(*_SEARCH, *_CHECKS, "sgm_cost", "quality", "sgm_paths", "sgm_P1", "sgm_P2", "disparity_filter"),
-            *("fill_gaps_px", "fill_holes", *_TEMPORAL, *_NETWORK),
+            *("fill_gaps_px", "fill_holes", "search_prior", *_TEMPORAL, *_NETWORK),
         ),
         "three times the percentage by which the lowest summed cost must lie below the lowest one at least 2 px away",
         takes_prior=True,

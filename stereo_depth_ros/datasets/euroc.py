@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: The stereo_depth_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""EuRoC MAV sequences in the ASL layout: raw pairs of cam0 and cam1 with lens distortion.
+"""Sequences in the ASL layout of EuRoC MAV and TUM VI: raw pairs of cam0 and cam1 with lens distortion.
 
-Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016.
+Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016; Schubert et al., "The TUM VI benchmark for evaluating
+visual-inertial odometry", IROS 2018, whose fisheye cameras are calibrated in a camchain of Kalibr.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ _END_NS = 2**31 * 10**9  # of the stamps of ROS
 
 class EurocDataset:
     """One sequence; a pair has equal stamps in both cameras, ``skipped`` counts the images without a partner.
+
+    Its calibration are the files sensor.yaml of both cameras, or a camchain beside ``mav0`` or in ``dso``.
 
     Args:
         folder: the folder that holds ``mav0``, or ``mav0`` itself.
@@ -64,10 +67,11 @@ class EurocDataset:
                 value=0,
                 remedy="copy the images and data.csv of both cameras again",
             )
-        self.rig = _rig(root / "cam0" / "sensor.yaml", root / "cam1" / "sensor.yaml")
+        calibration = _calibration(root)
+        self.rig = _rig(calibration)
         check_sizes(self.rig, self._pairs[0][1])
-        indices = [root / side / name for side in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml")]
-        self.files = [*indices, *left.values(), *right.values()]
+        indices = [root / side / "data.csv" for side in ("cam0", "cam1")]
+        self.files = [*indices, *calibration, *left.values(), *right.values()]
 
     def body_from_left(self) -> Pose:
         """Pose of the raw left camera in the body, T_BS of its sensor.yaml.
@@ -106,12 +110,21 @@ def _read_index(camera: Path) -> dict[int, Path]:
     return {stamp_ns: path for stamp_ns, path in images.items() if path.name in present}
 
 
-def _rig(left: Path, right: Path) -> StereoRig:
+def _calibration(root: Path) -> list[Path]:
+    """The files of both cameras, or that of the rig."""
+    sensors = [root / side / "sensor.yaml" for side in ("cam0", "cam1")]
+    folders = root / "dso", root.parent / "dso", root, root.parent
+    chains = [path for folder in folders for path in sorted(folder.glob("*camchain*.yaml"))]
+    return sensors if any(path.exists() for path in sensors) or not chains else chains[:1]
+
+
+def _rig(files: list[Path]) -> StereoRig:
     try:
-        return framed(read_rig_files([left, right]))
+        return framed(read_rig_files(files))
     except CalibrationError as error:
+        kind = "the sensor.yaml of an EuRoC camera" if len(files) > 1 else "a camchain of Kalibr"
         raise BagError(
-            f"is not the sensor.yaml of an EuRoC camera ({error.problem})",
+            f"is not {kind} ({error.problem})",
             subject=error.subject,
             value=error.value,
             limit=error.limit,
