@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import dataclasses
 import functools
@@ -35,6 +36,14 @@ __all__ = ["run"]
 _END_S = 1.0  # after a signal, for the frame in work and the shutdown
 _SHUTDOWN_TIMEOUT_S = 4.0
 RCLError = rclpy_implementation.RCLError
+
+
+class _Executor(SingleThreadedExecutor):  # type: ignore[misc]
+    """Its end writes nothing where the context was shut down before it by a signal."""
+
+    def __del__(self) -> None:
+        with contextlib.suppress(rclpy_implementation.InvalidHandle):
+            super().__del__()
 
 
 def run(node_type: type[StereoNode]) -> int:
@@ -70,7 +79,7 @@ def _run(node_type: type[StereoNode], interrupts: list[int]) -> int:
         if interrupts:
             return 0  # before rclpy handled signals
         node = node_type()
-        executor = SingleThreadedExecutor()
+        executor = _Executor()
         executor.add_node(node)
         compile_kernels(functools.partial(log_compilation, node))
         announce_ready(node)
