@@ -20,7 +20,7 @@ _held: list[IO[bytes]] = []  # until this process ends
 def own_number(count: int) -> int:
     """A number from 0 to ``count - 1`` that no other process on this machine has while this one runs.
 
-    Where all are taken, or files cannot be locked, it is one that no other of up to ``count`` processes of this run has.
+    Where all are taken, or files cannot be locked, no other of up to ``count`` processes of this run has it.
     """
     run = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))

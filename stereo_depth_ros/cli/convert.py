@@ -94,7 +94,7 @@ def kitti(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
 
 @app.command()
 def euroc(folder: Folder, output: Output, overwrite: Overwrite = False) -> None:
-    """Convert a EuRoC MAV sequence.
+    """Convert a sequence of EuRoC MAV or TUM VI.
 
     The bag contains the raw, distorted pairs with the time stamps of the dataset.
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sequences in the ASL layout of EuRoC MAV and TUM VI: raw pairs of cam0 and cam1 with lens distortion.
 
-Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016; Schubert et al., "The TUM VI benchmark for evaluating
-visual-inertial odometry", IROS 2018, whose fisheye cameras are calibrated in a camchain of Kalibr.
+Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016; Schubert et al., "The TUM VI benchmark for
+evaluating visual-inertial odometry", IROS 2018, whose fisheye cameras are calibrated in a camchain of Kalibr.
 """
 
 from __future__ import annotations
