@@ -171,15 +171,23 @@ def _mean_hamming(census: U8, y: int, x: int, first: int, sums: U16, out: U8) ->
 
 
 @compiled(allocates=False, inlined=False)
-def _hamming_pixel(census: U8, y: int, x: int, max_disparity: int, count: int, weak: bool, here: U8, sums: U16) -> None:
-    """The costs of pixel (x, y), of which some right pixels may be outside the image; see :func:`hamming_row`."""
-    width, size = census.shape[4] - 2 * MARGIN, here.size
-    at = x - max_disparity  # right column of index 0
-    begin, end = min(max(-at, 0), count), max(min(width - at, count), 0)
-    if begin < end:
+def _hamming_pixels(
+    census: U8, y: int, start: int, stop: int, max_disparity: int, count: int, weak: bool, raw: U8, sums: U16
+) -> None:
+    """The costs of pixels start to stop of row y, some right pixels of which are outside; see :func:`hamming_row`."""
+    width, size = census.shape[4] - 2 * MARGIN, raw.shape[1]
+    left, right = census[0, 0, y], census[0, 1, y]
+    for x in range(start, stop):
+        here = raw[x + 1]
+        at = x - max_disparity  # right column of index 0
+        begin, end = min(max(-at, 0), count), max(min(width - at, count), 0)
+        if begin >= end:
+            here[:count] = NEUTRAL_COST
+            here[count:] = LARGEST_COST
+            continue
         first, last = begin // BYTES * BYTES, (end + BYTES - 1) // BYTES * BYTES
         if len(census) == 1:
-            _hamming(census[0, 0, y], x, census[0, 1, y], at + first, weak, here, first, last - first)
+            _hamming(left, x, right, at + first, weak, raw, (x + 1) * size + first, last - first)
         else:
             _mean_hamming(census, y, x, at + first, sums[first:last], here[first:last])
         if begin > 0:
@@ -187,9 +195,6 @@ def _hamming_pixel(census: U8, y: int, x: int, max_disparity: int, count: int, w
         if end < size:
             here[end:count] = min(here[end - 1], NEUTRAL_COST)
             here[count:] = LARGEST_COST
-    else:
-        here[:count] = NEUTRAL_COST
-        here[count:] = LARGEST_COST
 
 
 @compiled(allocates=False, inlined=False)
@@ -229,15 +234,13 @@ def hamming_row(
         beyond = max(min(width - used + max_disparity - low + 1, end), inside)
         if len(census) > 1:
             inside = beyond = end
-        for x in range(begin, inside):
-            _hamming_pixel(census, y, x, max_disparity, count, weak, raw[x + 1], sums)
+        _hamming_pixels(census, y, begin, inside, max_disparity, count, weak, raw, sums)
         # Without a view or a branch for each pixel, which took longer than the distances
         for x in range(inside, beyond):
             _hamming(left, x, right, x - max_disparity + low, weak, raw, (x + 1) * size + low, some)
             if used < some:
                 raw[x + 1, count:] = LARGEST_COST
-        for x in range(beyond, end):
-            _hamming_pixel(census, y, x, max_disparity, count, weak, raw[x + 1], sums)
+        _hamming_pixels(census, y, beyond, end, max_disparity, count, weak, raw, sums)
     for k in range(size):
         raw[0, k] = raw[1, k]
         raw[width + 1, k] = raw[width, k]
