@@ -80,7 +80,7 @@ def test_settings_of_an_error_become_options() -> None:
 def test_only_options_of_the_command_are_named() -> None:
     group: Any = typer.main.get_command(app)
     options = {name: command_options(group.get_command(None, name)) for name in ("process", "convert", "calibrate")}
-    names = ("overwrite", "start_seconds", "rate_hz", "disparity_range", "board", "compression")
+    names = ("overwrite", "start_seconds", "rate_hz", "disparity_range", "board", "queue")
     error = TopicError("problem", settings=names)
     found = {name: error_text(error, options[name]) for name in options}
     assert found["process"] == "problem (--overwrite, --start, --param disparity_range:=...)"

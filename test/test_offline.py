@@ -15,13 +15,15 @@ from stereo_depth_ros.bags.message_types import RosbagsTypes
 from stereo_depth_ros.bags.pairs import BagSelection
 from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.writer import BagWriter
+from stereo_depth_ros.config.output_topics import OUTPUT_TOPICS, output_topics
 from stereo_depth_ros.config.values import parse_assignments, pipeline_config
-from stereo_depth_ros.core.errors import BagError, ImageError, OutputError
+from stereo_depth_ros.core.errors import BagError, ConfigError, ImageError, OutputError
 from stereo_depth_ros.matching import MATCHERS
 from stereo_depth_ros.messages.camera_info import camera_info_message
 from stereo_depth_ros.messages.image import image_message
 from stereo_depth_ros.offline import engine
 from stereo_depth_ros.offline.engine import process_bag
+from stereo_depth_ros.outputs import OUTPUTS
 
 FRAMES = 3
 TOPICS = ("/left/image_rect", "/left/image_rect_color", "/right/image_rect", "/disparity", "/depth/image_rect",
@@ -77,6 +79,39 @@ def test_an_output_that_cannot_be_written_ends_the_run_and_leaves_nothing(
     assert not [*tmp_path.iterdir()]
 
 
+def test_only_the_outputs_that_are_named_are_written_of_every_second_pair(bags: tuple[Path, Path]) -> None:
+    process_bag(BagSelection(bags[0]), bags[1], CONFIG, overwrite=True)
+    whole = {topic: messages_of(bags[1], topic) for topic in TOPICS}
+    calls: list[tuple[int, int]] = []
+    result = process_bag(
+        BagSelection(bags[0]),
+        bags[1],
+        CONFIG,
+        lambda done, total: calls.append((done, total)),
+        overwrite=True,
+        outputs=["points", "depth/image_rect"],
+        also=["confidence"],
+        compression="zstd",
+        every=2,
+    )
+    assert (calls, result.pairs, result.score) == ([(1, 2), (2, 2)], 2, None)
+    with BagReader(bags[1]) as reader:
+        infos = {"/left/camera_info", "/right/camera_info"}
+        assert {*reader.topics} == infos | {"/points2", "/depth/image_rect", "/confidence"}
+    first, _, third = sorted(whole["/points2"])
+    for topic in ("/points2", "/depth/image_rect"):
+        assert messages_of(bags[1], topic) == {stamp: whole[topic][stamp] for stamp in (first, third)}
+
+
+def test_names_of_outputs_are_those_of_the_table() -> None:
+    assert tuple(row.topic for row in OUTPUTS) == OUTPUT_TOPICS
+    assert output_topics(["points,depth", "disparity", "confidence"]) == (
+        *("disparity", "depth/image_rect", "depth/camera_info", "points2", "confidence"),
+    )
+    with pytest.raises(ConfigError, match="output 'cloud' is not one of disparity, depth, rect, points, all, depth/im"):
+        output_topics(["depth,cloud"])
+
+
 def test_progress_counts_the_part_that_is_read(bags: tuple[Path, Path]) -> None:
     calls: list[tuple[int, int]] = []
     selection = BagSelection(bags[0], start_seconds=0.1)
@@ -118,6 +153,7 @@ def test_provenance_is_written_with_the_outputs(bags: tuple[Path, Path]) -> None
     assert record.metadata["bag"] == str(bags[0])
     assert float(record.metadata["rig.baseline_m"]) == sequence(1).rig.baseline_m
     assert record.metadata["version"]
+    assert (record.metadata["pairs"], record.metadata["skipped_pairs"]) == (str(FRAMES), "0")
 
 
 def write_with_wrong_image(path: Path, bad: tuple[int, ...]) -> None:

@@ -154,7 +154,7 @@ def run_block(block: Block, run_calls: list[Call], tmp_path: Path, monkeypatch: 
 
 
 def assert_made(output: Path) -> None:
-    """A bag has points of every pair, or profiles of a scan; a folder or a file is not empty."""
+    """A bag has the depth of every pair, or profiles of a scan; a folder or a file is not empty."""
     if output.suffix == ".mcap":
         with BagReader(output) as bag:
             topics = bag.topics
@@ -164,7 +164,10 @@ def assert_made(output: Path) -> None:
         if "/focus/index" in topics:
             assert topics["/focus/index"].count == 1
             return
-        assert len(messages_of(output, "/points2")) == len(messages_of(output, "/left/image_rect")) >= 1
+        images = topics.get("/left/image_rect", topics.get("/left/image_rect_color"))
+        assert images is not None and images.count >= 1
+        made = [topics[topic].count for topic in ("/disparity", "/depth/image_rect", "/points2") if topic in topics]
+        assert len(made) >= 2 and set(made) == {images.count}
     else:
         assert any(output.iterdir()) if output.is_dir() else output.stat().st_size > 0
 

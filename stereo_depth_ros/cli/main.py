@@ -30,7 +30,7 @@ COMMANDS: Mapping[str, str] = {
     "demo": "Play the sample bag through the live graph, print the results, and write a bag and an image.",
     "info": "List the contents of a bag and state whether it is usable for stereo depth, and if not, why.",
     "doctor": "Examine the calibration, time stamps and images of a stereo setup, and state faults and remedies.",
-    "process": "Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.",
+    "process": "Compute the depth of a bag without a ROS graph: messages as those of replay, ROS is not needed.",
     "replay": "Play a bag through the live graph in the current ROS_DOMAIN_ID and record the outputs.",
     "calibrate": "Calibrate both cameras and the rig from image pairs of a calibration board.",
     "calibrate-laser": "Calibrate the light plane of a laser from images of its stripe on a board.",

@@ -17,12 +17,15 @@ from stereo_depth_ros.cli.options import (
     Also,
     Bag,
     BagOutput,
+    Compression,
     Duration,
+    Every,
     Export,
     Extrinsics,
     Json,
     Left,
     Matcher,
+    Outputs,
     Overwrite,
     Params,
     ParamsFile,
@@ -40,6 +43,7 @@ from stereo_depth_ros.cli.run_report import finish_run
 from stereo_depth_ros.config import ViewConfig
 from stereo_depth_ros.config.matchers import MATCHERS
 from stereo_depth_ros.config.more_topics import check_more_topics
+from stereo_depth_ros.config.output_topics import DEFAULT_OUTPUTS, output_topics
 from stereo_depth_ros.config.values import pipeline_config, stage_config
 from stereo_depth_ros.config.view_topics import check_views
 from stereo_depth_ros.core.errors import ConfigError
@@ -62,17 +66,22 @@ def process(
     params_file: ParamsFile = None,
     start: Start = 0.0,
     duration: Duration = 0.0,
+    every: Every = 1,
     left: Left = None,
     right: Right = None,
     side_by_side: SideBySide = False,
     strict: Strict = False,
+    outputs: Outputs = None,
+    compression: Compression = "lz4",
     view: Views = None,
     also: Also = None,
     export: Export = None,
     json_file: Json = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Compute the depth of a bag without a ROS graph: the same outputs as replay, ROS is not needed.
+    """Compute the depth of a bag without a ROS graph: messages as those of replay, ROS is not needed.
+
+    Disparity, depth and the left rectified image are written, or what --outputs names; points are written if asked for.
 
     With --export the depth is written to files too, as a mesh, a cloud or an image: of the first pair, or of each one
     where the name has {stamp}, which becomes the stamp in nanoseconds.
@@ -86,6 +95,7 @@ def process(
       stereo-depth process drive.mcap -o depth.mcap
       stereo-depth process drive.mcap -o depth.mcap --matcher sgbm --params-file stereo_depth.yaml
       stereo-depth process drive.mcap -o depth.mcap --camera-info left.yaml right.yaml
+      stereo-depth process drive.mcap -o depth.mcap --outputs depth,points --compression zstd --every 5
       stereo-depth process drive.mcap -o depth.mcap --view anaglyph --view disparity_color
       stereo-depth process drive.mcap -o depth.mcap --also confidence --also error_depth
       stereo-depth process drive.mcap -o depth.mcap --prior /velodyne_points
@@ -94,8 +104,8 @@ def process(
     file = read_parameters(params_file)
     views = check_views(view or ())
     stages = (*PIPELINE, "view") if views else PIPELINE
-    more = check_more_topics(also or ())
-    depends = export is not None or any(topic.startswith("error_") for topic in more)
+    written = output_topics([*(outputs or DEFAULT_OUTPUTS), *check_more_topics(also or ())])
+    depends = export is not None or any(topic.startswith("error_") for topic in written)
     names = ("disparity_sigma_px",) if depends else ()
     given = given_parameters(
         param or (), matcher, file=file, stages=stages, names=names, remedies={"view": "add --view"}
@@ -128,6 +138,8 @@ def process(
             strict=strict,
             each=surfaces.add,
             prior=sensor,
-            also=more,
+            outputs=written,
+            compression=compression,
+            every=every,
         )
     finish_run(result, json_file, overwrite, surfaces=surfaces)

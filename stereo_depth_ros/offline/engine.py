@@ -8,9 +8,11 @@ compresses and writes their messages: each works on a pair of its own, and the o
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 
@@ -21,6 +23,7 @@ from stereo_depth_ros.bags.reader import BagReader
 from stereo_depth_ros.bags.sources import bag_files
 from stereo_depth_ros.bags.writer import BagWriter, check_bag_output
 from stereo_depth_ros.config import PipelineConfig, ViewConfig
+from stereo_depth_ros.config.output_topics import OUTPUT_TOPICS, output_topics
 from stereo_depth_ros.core.bit_depth import BitDepth
 from stereo_depth_ros.core.errors import CameraOrderError, OutputError, StereoDepthError
 from stereo_depth_ros.core.prior import DisparityPrior
@@ -33,7 +36,7 @@ from stereo_depth_ros.offline.examined_pipelines import ExaminedPipelines
 from stereo_depth_ros.offline.provenance import provenance
 from stereo_depth_ros.offline.report import RunReport, percentile
 from stereo_depth_ros.offline.result_writer import ResultWriter
-from stereo_depth_ros.outputs import MORE_OUTPUTS, OUTPUTS
+from stereo_depth_ros.outputs import LIVE_OUTPUTS
 from stereo_depth_ros.pipeline import StereoResult
 
 __all__ = ["process_bag"]
@@ -53,8 +56,11 @@ def process_bag(
     each: Callable[[StereoResult], None] = lambda result: None,
     prior: SensorTopic | None = None,
     also: Sequence[str] = (),
+    outputs: Sequence[str] = OUTPUT_TOPICS,
+    compression: str = "lz4",
+    every: int = 1,
 ) -> RunReport:
-    """Compute every pair of a bag and write the outputs and camera infos into an MCAP bag.
+    """Compute the pairs of a bag and write the outputs and camera infos into an MCAP bag.
 
     A pair that cannot be processed is skipped; the first one of each kind of error is reported in the warnings.
 
@@ -69,29 +75,35 @@ def process_bag(
         each: called with every result, after its outputs are written.
         prior: range sensor of the bag whose points the matcher takes as a prior. Pairs without a sweep in time are
             matched without; the warnings say how many.
-        also: topics of ``MORE_OUTPUTS`` that are written too.
+        also: topics of ``LIVE_OUTPUTS`` that are written too.
+        outputs: topics of ``LIVE_OUTPUTS`` that are written.
+        compression: of the chunks, "none", "lz4" or "zstd".
+        every: only the first one of so many pairs is computed.
 
     Raises:
         BagError, TopicError: no readable stereo bag, stamps that are not set, or no pair that can be processed.
         CalibrationError, ImageError: the first pairs do not fit the calibration, with ``strict``; nothing is written.
         CameraOrderError: left and right are swapped, which a pair shows at last; nothing is written.
         OutputError: an existing output without ``overwrite``, an output that is read, or it cannot be written.
-        ConfigError: parameters that contradict each other.
+        ConfigError: parameters that contradict each other, or an unknown output.
     """
     check_bag_output(output, bag_files(selection.path), overwrite=overwrite)
-    rows = (*OUTPUTS, *(row for row in MORE_OUTPUTS if row.topic in also))
+    wanted = output_topics([*outputs, *also])
+    rows = [row for row in LIVE_OUTPUTS if row.topic in wanted]
     with BagReader(selection.path) as reader:
         selection, choice = open_selection(selection, config.pairing, reader)
         pairs = BagPairs(selection, config.pairing, reader)
         sweeps = None if prior is None else ProjectedSweeps(reader, prior, pairs.rectified_info)
-        with BagWriter(output, compression="lz4", overwrite=overwrite) as writer:
+        with BagWriter(output, compression=compression, overwrite=overwrite) as writer:
             results = ResultWriter(writer, rows, views, each)
-            run = _Run(config, pairs, sweeps, results)
+            run = _Run(config, pairs, sweeps, results, every)
             wall_s, warm_up_s = run.compute_all(progress, strict)
             if run.rig is None or not writer.message_count:
                 raise no_pair_error(pairs, selection.path, run.refused)
-            writer.write_metadata("stereo_depth_ros", provenance(config, run.rig, bag=selection.path))
-        has_truth = TRUTH_TOPIC in reader.topics
+            writer.write_metadata("stereo_depth_ros", run.provenance())
+        score = results.score
+        if score is not None and TRUTH_TOPIC in reader.topics:
+            score = score_disparity(output, selection.path)
         return RunReport(
             bag=selection.path,
             output=output,
@@ -103,7 +115,7 @@ def process_bag(
             wall_s=wall_s,
             warm_up_s=warm_up_s,
             stages_ms={name: (percentile(ms, 50), percentile(ms, 95)) for name, ms in results.stages_ms.items()},
-            score=score_disparity(output, selection.path) if has_truth else results.score,
+            score=score,
             warnings=(
                 *(text for text in (choice, pairs.warning) if text),
                 *pairs.losses,
@@ -143,9 +155,11 @@ class _Run:
     """
 
     def __init__(
-        self, config: PipelineConfig, pairs: BagPairs, sweeps: ProjectedSweeps | None, results: ResultWriter
+        self, config: PipelineConfig, pairs: BagPairs, sweeps: ProjectedSweeps | None, results: ResultWriter, every: int
     ) -> None:
+        self._every = every
         self._types = RosbagsTypes()
+        self._config = config
         self._pairs, self._sweeps, self._results = pairs, sweeps, results
         self._pipelines = ExaminedPipelines(config)
         self._refused: list[tuple[int, str, str]] = []  # number of the pair, kind of the error, text
@@ -170,6 +184,11 @@ class _Run:
             first.setdefault(kind, text)
         return [*first.values()]
 
+    def provenance(self) -> dict[str, str]:
+        """Metadata of the output."""
+        counts = {"pairs": self.sent, "skipped_pairs": self.skipped}
+        return provenance(self._config, self.rig, bag=self._pairs.path, every=self._every, **counts)
+
     def compute_all(self, progress: Callable[[int, int], None], strict: bool) -> tuple[float, float]:
         """All pairs; returns the seconds that they took, and of these the seconds until the first one was computed."""
         start, warm_up_s = time.perf_counter(), 0.0
@@ -184,7 +203,7 @@ class _Run:
                     written.put((pair, result))
                 self._refuse_fault(strict)
                 warm_up_s = warm_up_s or time.perf_counter() - start
-                progress(self.sent, max(self.sent, self._pairs.count))
+                progress(self.sent, max(self.sent, math.ceil(self._pairs.count / self._every)))
                 del pair, result  # they hold images
         wall_s = time.perf_counter() - start
         self._pipelines.finish()
@@ -203,7 +222,7 @@ class _Run:
         """The pairs, decoded; in the thread that reads."""
         rigs, depth = PerCalibration(self._types, lambda rig: rig), BitDepth()
         image_type = self._pairs.topics.image_type
-        for number, pair in enumerate(self._pairs.pairs(), start=1):
+        for number, pair in enumerate(islice(self._pairs.pairs(), 0, None, self._every), start=1):
             try:
                 rig = rigs.of(pair, image_type)
                 prior, prior_ms = self._prior(pair, rig)

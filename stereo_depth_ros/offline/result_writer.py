@@ -56,9 +56,9 @@ class ResultWriter:
         self.stages_ms: dict[str, list[float]] = defaultdict(list)
 
     @property
-    def score(self) -> BagScore:
-        """The valid fraction of the disparities written so far."""
-        return untrue_score(self._valid)
+    def score(self) -> BagScore | None:
+        """The valid fraction of the disparities written so far; None where none are."""
+        return untrue_score(self._valid) if self._valid else None
 
     def write(self, pair: SerializedPair, result: StereoResult) -> None:
         """Write the messages of a pair.
