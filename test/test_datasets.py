@@ -392,6 +392,9 @@ def test_tum_vi(place: str, tmp_path: Path) -> None:
     (folder / place).write_text("cam0: 1\n")
     with pytest.raises(BagError, match=r"camchain.*is not a camchain of Kalibr"):
         EurocDataset(folder)
+    (folder / "mav0" / "camchain_2.yaml").write_text("cam0: 1\n")
+    with pytest.raises(BagError, match=r"mav0: has several calibrations: .*camchain.*camchain"):
+        EurocDataset(folder)
 
 
 def test_euroc_folders_that_lack_something(tmp_path: Path) -> None:

@@ -115,7 +115,17 @@ def _calibration(root: Path) -> list[Path]:
     sensors = [root / side / "sensor.yaml" for side in ("cam0", "cam1")]
     folders = root / "dso", root.parent / "dso", root, root.parent
     chains = [path for folder in folders for path in sorted(folder.glob("*camchain*.yaml"))]
-    return sensors if any(path.exists() for path in sensors) or not chains else chains[:1]
+    if any(path.exists() for path in sensors) or not chains:
+        return sensors
+    if len(chains) > 1:
+        raise BagError(
+            f"has several calibrations: {', '.join(map(str, chains))}",
+            subject=str(root),
+            value=len(chains),
+            limit=1,
+            remedy="leave one of them, or sensor.yaml in cam0 and cam1",
+        )
+    return chains
 
 
 def _rig(files: list[Path]) -> StereoRig:
