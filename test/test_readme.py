@@ -24,7 +24,6 @@ from command_line import CommandLine, Run
 from documents import BLOCKS, DOCUMENTS, ROOT, Block, Call, make_inputs, output_after, read, setup_value
 from ros_domain import own_number
 from scanned import write_manifest
-from stereo_bags import messages_of
 from stripe_scans import exact_plane, scanner
 from test_config import WIDER
 from test_dependencies import ROSDEP_KEYS
